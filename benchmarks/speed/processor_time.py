@@ -26,7 +26,8 @@ STEPS: dict[str, tuple[str, ...]] = {
     "colour conversion, read": ("recording.frame:DecodedImage.to_bgr",),
     "rectification": ("stereo.geometry.rectification:Rectifier.rectify Undistorter.undistort",),
     "checks of the pair": (
-        "recording.pairs.pair_monitor:PairMonitor.add SyncMonitor.add",
+        "recording.pairs.pair_monitor:PairMonitor.add",
+        "recording.pairs.sync_monitor:SyncMonitor.add",
         "stereo.alignment.drift:DriftMonitor.add",
     ),
     "lanes": ("detection.lanes.edges:EdgeLaneFinder.find", "detection.lanes.nets:NetLaneFinder.find"),

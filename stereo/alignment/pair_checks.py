@@ -1,18 +1,13 @@
-"""Checks of rectified pairs from sparse features: row offset and swapped images, and whether both are simultaneous.
+"""Checks of rectified pairs from sparse features: row offset and swapped images.
 
     row offset = y_right - y_left, 0 in a rectified pair          disparity = x_left - x_right > 0 for all points
 
 `check_pair`: the images are swapped if the rows agree and nearly all disparities are negative. With few matches,
 different rows or disparities of both signs the order is unknown.
-
-`check_sync`: the row offset is constant in simultaneous images; if the cameras move between the two images, near points
-move outwards (or, when pitching, all points up or down). So left image i is matched with the right images i - 1, i and
-i + 1: the simultaneous one has the most matches in the same row. In a static scene all three do: unknown.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -24,23 +19,15 @@ from track_range.foundation.arrays import BoolArray, FloatArray, Image
 from track_range.stereo.geometry.frames import grey
 
 ViewOrder = Literal["correct", "swapped", "unknown"]
-Sync = Literal["synchronised", "right lags", "left lags", "unknown"]
 
 _N_FEATURES = 2000  # number of ORB features per image
 _MAX_RATIO = 0.85  # largest ratio of the distances of the best and the second best match (Lowe 2004)
 
-# Of the order of views:
 _ROW_TOLERANCE_PX = 2.0  # largest difference between the row offset of an inlier and the most frequent one
 _CLEAR_DISPARITY_PX = 1.0  # minimum disparity with a meaningful sign: far points and misalignments have smaller ones
 _MIN_MATCHES = 30  # minimum number of disparities with a meaningful sign
 _MIN_FRACTION_OF_SIGN = 0.8  # minimum fraction of the disparities with equal sign
 _MIN_FRACTION_IN_ROW = 0.5  # minimum fraction of matches in the same row; of chance matches about 1 % are
-
-# Of simultaneous images:
-_SYNC_ROW_TOLERANCE_PX = 1.5
-_MIN_SYNC_FRACTION = 0.6  # minimum fraction of matches in the same row with the simultaneous image
-_MIN_SYNC_LEAD = 0.1  # minimum difference between that fraction and those of both other images
-_MIN_SYNC_MATCHES = 60
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,10 +53,10 @@ class PairCheck:
 
 def check_pair(left: Image, right: Image) -> PairCheck:
     """Row offset and order of one rectified pair, (H, W) or (H, W, 3) uint8 each."""
-    left_px, right_px = _matched_points(_features(left), _features(right))
+    left_px, right_px = matched_points(orb_features(left), orb_features(right))
     if len(left_px) == 0:
         return PairCheck(0, float("nan"), float("nan"), "unknown")
-    agreeing = _is_in_row(left_px, right_px, tolerance_px=_ROW_TOLERANCE_PX)
+    agreeing = are_in_row(left_px, right_px, tolerance_px=_ROW_TOLERANCE_PX)
     disparity_px = (left_px - right_px)[agreeing, 0]
     signed = disparity_px[np.abs(disparity_px) > _CLEAR_DISPARITY_PX]
     view_order: ViewOrder = "unknown"
@@ -87,25 +74,7 @@ def check_pair(left: Image, right: Image) -> PairCheck:
     )
 
 
-def check_sync(left: Image, rights: Sequence[Image]) -> Sync:
-    """Whether a rectified left image is simultaneous with the second of three successive right images.
-
-    "right lags": it is with the third, so that right images are one frame late; "left lags": with the first.
-    """
-    features, fractions = _features(left), []
-    for right in rights:
-        left_px, right_px = _matched_points(features, _features(right))
-        has_matches = len(left_px) >= _MIN_SYNC_MATCHES
-        in_row = _is_in_row(left_px, right_px, tolerance_px=_SYNC_ROW_TOLERANCE_PX).mean() if has_matches else 0.0
-        fractions.append(float(in_row))
-    best = max(range(3), key=fractions.__getitem__)
-    if fractions[best] < _MIN_SYNC_FRACTION or fractions[best] - sorted(fractions)[1] < _MIN_SYNC_LEAD:
-        return "unknown"
-    results: tuple[Sync, ...] = ("left lags", "synchronised", "right lags")
-    return results[best]
-
-
-def _is_in_row(left_px: FloatArray, right_px: FloatArray, *, tolerance_px: float) -> BoolArray:
+def are_in_row(left_px: FloatArray, right_px: FloatArray, *, tolerance_px: float) -> BoolArray:
     """(N,) whether matched points (N, 2) have the most frequent row offset, within `tolerance_px`.
 
     It is the median in the band with the most values, which is not affected by wrong matches in random rows.
@@ -117,17 +86,17 @@ def _is_in_row(left_px: FloatArray, right_px: FloatArray, *, tolerance_px: float
     return np.asarray(np.abs(row_offset - np.median(offsets[start : until[start]])) <= tolerance_px)
 
 
-_Features = tuple[FloatArray, npt.NDArray[np.uint8]]
+Features = tuple[FloatArray, npt.NDArray[np.uint8]]
 
 
-def _features(image: Image) -> _Features:
+def orb_features(image: Image) -> Features:
     """ORB features of one image: (N, 2) pixels and (N, 32) descriptors."""
     points, descriptors = cv2.ORB.create(nfeatures=_N_FEATURES).detectAndCompute(grey(image), None)
     xy_px = np.asarray(cv2.KeyPoint.convert(points), np.float64).reshape(-1, 2)
     return xy_px, np.asarray(descriptors, np.uint8) if len(points) else np.zeros((0, 32), np.uint8)
 
 
-def _matched_points(left: _Features, right: _Features) -> tuple[FloatArray, FloatArray]:
+def matched_points(left: Features, right: Features) -> tuple[FloatArray, FloatArray]:
     """(N, 2) pixels of matched features in the left and the right image, by cross-check and ratio test."""
     (left_px, left_descriptors), (right_px, right_descriptors) = left, right
     if min(len(left_px), len(right_px)) < 2:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from track_range.foundation.arrays import Image
-from track_range.stereo.alignment.pair_checks import check_sync
+from track_range.stereo.alignment.sync_check import check_sync
 
 
 def views(*, zoom_per_frame: float, n: int = 4, shift_px: int = 10) -> tuple[list[Image], list[Image]]:

@@ -22,8 +22,9 @@ from track_range.recording.names import BagTopic, VideoName, video_name
 from track_range.recording.open_video import open_video
 from track_range.recording.pairs.auto_alignment import ESTIMATION_SPAN_S, find_alignment
 from track_range.recording.pairs.live_pair import LivePair
-from track_range.recording.pairs.pair_monitor import MAX_CHECKED_PAIRS, PairMonitor, SyncMonitor
+from track_range.recording.pairs.pair_monitor import MAX_CHECKED_PAIRS, PairMonitor
 from track_range.recording.pairs.recorded_pair import RecordedPair
+from track_range.recording.pairs.sync_monitor import SyncMonitor
 from track_range.recording.pairs.video_pair import VideoPair
 from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.utc import UtcStart, parsed_utc

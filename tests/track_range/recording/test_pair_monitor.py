@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.recording.pairs.pair_monitor import MAX_CHECKED_PAIRS, PairMonitor, SyncMonitor
+from track_range.recording.pairs.pair_monitor import MAX_CHECKED_PAIRS, PairMonitor
+from track_range.recording.pairs.sync_monitor import SyncMonitor
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import RigError
 
