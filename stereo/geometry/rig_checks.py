@@ -1,11 +1,11 @@
-"""Plausibility checks of calibrations, and their adaptation to an image size.
+"""Plausibility checks of calibrations.
 
 A wrong calibration silently gives wrong distances, so implausible values are errors.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -15,6 +15,7 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import quoted, shortened
 from track_range.foundation.validation import Integer
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.image_size import has_aspect_of, is_size_of
 from track_range.stereo.geometry.lenses import LENSES
 from track_range.stereo.geometry.rig import Mounting, RigError, StereoRig
 
@@ -24,8 +25,6 @@ ImageSide = Annotated[Integer, Field(ge=1, le=MAX_SIDE_PX)]  # width or height o
 _FOCAL_PER_WIDTH = (0.1, 20.0)  # plausible focal length / image width: fields of view from 157 to 3 degrees
 _ROTATION_TOLERANCE = 1e-3  # largest deviation of R^T R from the identity; calibration files have six digits or more
 _MAX_TRANSFORM = 1e6  # largest magnitude of a number in a transform that is compared with the limits
-_CROPPED_PX = 2  # largest number of rows or columns that video codecs crop
-_ASPECT_TOLERANCE = 0.01  # largest relative difference of aspect ratios at which a calibration is scaled
 _MAX_DISTORTION = 1e6  # largest plausible magnitude of a distortion coefficient; badly conditioned fits reach thousands
 _MAX_PRINCIPAL_POINT_PX = 1e6  # largest plausible magnitude of a principal point in a file without an image size
 _MIN_MARGIN = 0.01  # smallest distance of a principal point from the border / side; cropped images have small ones
@@ -57,10 +56,10 @@ class RigCalibration:
 
     def of_size(self, size_px: tuple[int, int] | None) -> RigCalibration:
         """The cameras of images of `size_px` = (width, height): as recorded or rectified; None = rectified."""
-        if self.unrectified is None or size_px is None or _is_size_of(self.left, size_px):
+        if self.unrectified is None or size_px is None or is_size_of(self.left, size_px):
             return self
         raw = self.unrectified.left
-        is_raw = _is_size_of(raw, size_px) or (not _has_aspect_of(self.left, size_px) and _has_aspect_of(raw, size_px))
+        is_raw = is_size_of(raw, size_px) or (not has_aspect_of(self.left, size_px) and has_aspect_of(raw, size_px))
         return self.unrectified if is_raw else self
 
 
@@ -151,8 +150,9 @@ def check_camera(camera: PinholeCamera, source: object) -> None:
     if camera.width_px and min(margins) < _MIN_MARGIN:
         raise RigError(
             f"{source}: expected a principal point inside the image of {camera.width_px}x{camera.height_px} px, at "
-            f"least {_MIN_MARGIN:.0%} of the side from its border, found ({camera.cx_px:g}, {camera.cy_px:g}); "
-            "calibrate again."
+            f"least {_MIN_MARGIN:.0%} of the side from its border, found ({camera.cx_px:g}, {camera.cy_px:g}), as in "
+            f"images of about {2 * camera.cx_px:.0f}x{2 * camera.cy_px:.0f} px; correct the image size, or calibrate "
+            "again."
         )
     coefficients, names = camera.distortion, LENSES[camera.lens].coefficients
     numbers = (len(names),) if camera.is_wide else _N_DISTORTION_COEFFICIENTS
@@ -176,49 +176,3 @@ def _check_wide(camera: PinholeCamera, source: object) -> None:
             f"{source}: expected coefficients of the lens model {camera.lens} that image at least the middle "
             f"{_MIN_IMAGED:.0%} of the picture, found {quoted(list(camera.distortion))}; calibrate again."
         )
-
-
-def fitted_to_size(
-    camera: PinholeCamera, size_px: tuple[int, int], source: object
-) -> tuple[PinholeCamera, tuple[str, ...]]:
-    """The camera adapted to images of `size_px` = (width, height), and notes for the user.
-
-    The calibrated size may differ by a few rows or columns cropped by a codec; otherwise the camera is scaled if the
-    aspect ratio agrees. Without a calibrated size, the principal point must lie in the middle third of the image.
-    Raises RigError if the calibration is for images of a different shape or size.
-    """
-    width, height = size_px
-    resized = replace(camera, width_px=width, height_px=height)
-    if camera.width_px == 0:
-        if not (width / 3 <= camera.cx_px <= width * 2 / 3 and height / 3 <= camera.cy_px <= height * 2 / 3):
-            raise RigError(
-                f"{source}: expected a principal point in the middle third of the {width}x{height} px images, found "
-                f"({camera.cx_px:.1f}, {camera.cy_px:.1f}); give the calibration of these images."
-            )
-        return resized, ()
-    if _is_size_of(camera, size_px):
-        return resized, ()
-    calibrated = f"{camera.width_px}x{camera.height_px}"
-    if not _has_aspect_of(camera, size_px):
-        raise RigError(
-            f"{source}: expected images with the aspect ratio of {calibrated} px, found {width}x{height} px; give the "
-            "calibration of these images."
-        )
-    scale_x, scale_y = width / camera.width_px, height / camera.height_px
-    scaled = replace(
-        resized,
-        fx_px=camera.fx_px * scale_x,
-        fy_px=camera.fy_px * scale_y,
-        cx_px=(camera.cx_px + 0.5) * scale_x - 0.5,  # pixel edges map to pixel edges
-        cy_px=(camera.cy_px + 0.5) * scale_y - 0.5,
-    )
-    return scaled, (f"{source}: calibration scaled from {calibrated} px to the image size, {width}x{height} px.",)
-
-
-def _is_size_of(camera: PinholeCamera, size_px: tuple[int, int]) -> bool:
-    """Whether images of this size are those of the camera, perhaps cropped by a codec."""
-    return all(0 <= own - side <= _CROPPED_PX for own, side in zip(camera.size_px, size_px, strict=True))
-
-
-def _has_aspect_of(camera: PinholeCamera, size_px: tuple[int, int]) -> bool:
-    return abs((size_px[0] / camera.width_px) / (size_px[1] / camera.height_px) - 1) <= _ASPECT_TOLERANCE

@@ -10,12 +10,17 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import read_text
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.image_size import (
+    FocalAlternative,
+    fitted_rig,
+    fitted_to_size,
+    size_alternatives,
+)
 from track_range.stereo.geometry.rig import Mounting, RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import (
     RigCalibration,
     check_camera,
     check_rig,
-    fitted_to_size,
     shared_view_notes,
 )
 from track_range.stereo.rig_formats.kalibr import KALIBR
@@ -54,15 +59,14 @@ def load_rig(
             f"{path}: expected {missing_camera(path, is_grey=is_grey)}, found one camera; give a file with both "
             "cameras, or run on one video with --mono."
         )
-    check_rig(StereoRig(calibration.left, calibration.right, calibration.right_from_left), path)
+    given = StereoRig(calibration.left, calibration.right, calibration.right_from_left)
+    check_rig(given, path)
     right_size_px = right_size_px or size_px
     if right_size_px != size_px:
         _check_sizes((calibration.left, calibration.right), (size_px, right_size_px), path)
-    left, left_notes = fitted_to_size(calibration.left, size_px, f"{path} (left)")
-    right, right_notes = fitted_to_size(calibration.right, right_size_px, f"{path} (right)")
-    rig = StereoRig(left, right, calibration.right_from_left)
+    rig, size_notes = fitted_rig(given, (size_px, right_size_px), path)
     check_rig(rig, path)
-    return rig, (*calibration.notes, *left_notes, *right_notes, *shared_view_notes(rig, path))
+    return rig, (*calibration.notes, *size_notes, *shared_view_notes(rig, path))
 
 
 def _check_sizes(
@@ -135,6 +139,11 @@ def mounting_of(path: Path) -> Mounting | None:
     Raises RigError if the file cannot be read or is not a calibration.
     """
     return _read(path, is_grey=False, is_pair=False).mounting
+
+
+def alternatives_of(path: Path, *, is_grey: bool, size_px: tuple[int, int]) -> tuple[FocalAlternative, ...]:
+    """Other readings of the image size of the left or only camera of a file, for images of `size_px`."""
+    return size_alternatives(_read(path, is_grey=is_grey, is_pair=False).of_size(size_px).left, size_px)
 
 
 def find_rig(left_video: Path) -> Path | None:

@@ -46,7 +46,8 @@ def test_kitti_by_hand(tmp_path: Path) -> None:
     assert (rig.left.cx_px, rig.left.cy_px, rig.left.width_px, rig.left.height_px) == (650, 350, 1280, 720)
     assert rig.baseline_m == pytest.approx(0.5)
     assert rig.is_rectified
-    assert notes == ()
+    assert len(notes) == 1
+    assert "no image size; taken for 1280x720 px" in notes[0]
     grey, _ = load_rig(path, size_px=SIZE, is_grey=True)
     assert (grey.left.fx_px, grey.baseline_m) == (700, pytest.approx(0.5))
     # t = K^-1 P[:, 3]: z = 0.004, x = (50 - 650 z) / 1000, y = (2 - 350 z) / 1000
@@ -66,7 +67,7 @@ def test_grey_pair_is_used_if_it_is_the_only_one(tmp_path: Path) -> None:
     path = written(tmp_path, "".join(KITTI.splitlines(keepends=True)[:2]), "calib.txt")
     rig, notes = load_rig(path, size_px=SIZE)
     assert rig.left.fx_px == 700
-    assert len(notes) == 1
+    assert len(notes) == 2
     assert "cameras 0 and 1" in notes[0]
 
 
@@ -137,7 +138,7 @@ def test_two_lines_without_names(tmp_path: Path, text: str, line: int) -> None:
     rig, notes = load_rig(written(tmp_path, text), size_px=SIZE)
     assert rig.is_rectified
     assert rig.baseline_m == pytest.approx(0.54)
-    assert len(notes) == 1
+    assert len(notes) == 2
     assert f"line {line} is the left" in notes[0]
 
 

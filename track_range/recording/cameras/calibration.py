@@ -24,12 +24,26 @@ from track_range.recording.utc import UtcStart
 from track_range.stereo.alignment.model import MAX_ROW_OFFSET_PX, RightView
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame, ImageView
+from track_range.stereo.geometry.image_size import (
+    FocalAlternative,
+    field_notes,
+    fitted_rig,
+    fitted_to_size,
+    size_alternatives,
+)
 from track_range.stereo.geometry.rectification import Rectifier, Undistorter
 from track_range.stereo.geometry.rig import Mounting, RigError, StereoRig
-from track_range.stereo.geometry.rig_checks import check_camera, check_rig, fitted_to_size
+from track_range.stereo.geometry.rig_checks import check_camera, check_rig
 from track_range.stereo.geometry.virtual_pinhole import field_of_view
 from track_range.stereo.rig_formats.camera_info import camera_of, is_undistorted, rig_of
-from track_range.stereo.rig_formats.reading import find_rig, left_from_reference_m, load_camera, load_rig, mounting_of
+from track_range.stereo.rig_formats.reading import (
+    alternatives_of,
+    find_rig,
+    left_from_reference_m,
+    load_camera,
+    load_rig,
+    mounting_of,
+)
 
 _GIVEN_FOCAL_SIGMA = 0.02  # relative standard deviation of a focal length given by the user; assumed
 _ASSUMED_BASELINE_M = 0.5  # baseline of an uncalibrated pair; it only sets the range of disparities that is searched
@@ -83,13 +97,18 @@ class RecordingCalibration:
     focal: FocalGuess | None = None  # estimate of a focal length that is not known exactly; None = it is
     # height, pitch and uncertainty of the focal length of a camera that was calibrated from the road; None = unknown
     mounting: Mounting | None = None
+    alternatives: tuple[FocalAlternative, ...] = ()  # other readings of the calibration or focal length
 
     @property
     def focal_sigma(self) -> float:
-        """Relative standard deviation of the focal length, which all distances share; 0 = calibrated."""
+        """Relative standard deviation of the focal length, which all distances share; 0 = calibrated.
+
+        It covers the alternatives for which something speaks.
+        """
         if self.focal is not None:
             return self.focal.sigma
-        return 0.0 if self.mounting is None else self.mounting.focal_sigma
+        shown = max((abs(1 - 1 / other.factor) for other in self.alternatives if other.is_shown), default=0.0)
+        return math.hypot(shown, 0.0 if self.mounting is None else self.mounting.focal_sigma)
 
     @property
     def camera_height_m(self) -> float | None:
@@ -266,7 +285,8 @@ def _without_file(
         guesses = focal_guesses(video) if isinstance(video, RecordedVideo) else (default_guess(video.width_px),)
     guess = best_guess(guesses) if focal_px is None else FocalGuess(focal_px, _GIVEN_FOCAL_SIGMA, "--focal-px")
     camera = PinholeCamera.of_focal_length(guess.focal_px, sizes_px[0])
-    check_camera(camera, "--focal-px" if focal_px is not None else f"{left}: focal length")
+    source = "--focal-px" if focal_px is not None else f"{left}: focal length"
+    check_camera(camera, source)
     if sizes_px[0] != sizes_px[-1]:
         (lw, lh), (rw, rh) = sizes_px
         raise VideoError(
@@ -280,6 +300,7 @@ def _without_file(
         sizes_px=sizes_px,
         guesses=guesses,
         focal=None if is_exact else guess,
+        file_notes=field_notes(camera, source),
     )
 
 
@@ -291,7 +312,8 @@ def _loaded(path: Path, sizes_px: Sizes, view: LensView, *, is_grey: bool) -> Re
         camera, notes = load_camera(path, size_px=sizes_px[0], is_grey=is_grey)
         loaded = replace(_of_cameras(camera, path, notes, sizes_px, view), mounting=mounting_of(path))
     shift_m = left_from_reference_m(path, is_grey=is_grey, size_px=sizes_px[0])
-    return replace(loaded, left_from_reference_m=shift_m)
+    alternatives = alternatives_of(path, is_grey=is_grey, size_px=sizes_px[0])
+    return replace(loaded, left_from_reference_m=shift_m, alternatives=alternatives)
 
 
 def _calibration_in_bag(videos: Sequence[Video], sizes_px: Sizes, view: LensView) -> RecordingCalibration | None:
@@ -312,17 +334,18 @@ def _of_models(
 ) -> RecordingCalibration:
     """The calibration of one camera, the left one of a rig, or of a pair; `path` is the file with the models."""
     source = path or "rig"
+    left = given.left if isinstance(given, StereoRig) else given
+    fitted: StereoRig | PinholeCamera
     if len(sizes_px) == 1:
-        camera, notes = fitted_to_size(given.left if isinstance(given, StereoRig) else given, sizes_px[0], source)
-        check_camera(camera, source)
-        return _of_cameras(camera, path, notes, sizes_px, view)
-    if isinstance(given, PinholeCamera):
+        fitted, notes = fitted_to_size(left, sizes_px[0], source)
+        check_camera(fitted, source)
+    elif isinstance(given, PinholeCamera):
         raise RigError(f"{source}: expected a rig of two cameras, found one camera.")
-    check_rig(given, source)
-    left, left_notes = fitted_to_size(given.left, sizes_px[0], f"{source} (left)")
-    right, right_notes = fitted_to_size(given.right, sizes_px[1], f"{source} (right)")
-    rig = StereoRig(left, right, given.right_from_left)
-    return _of_cameras(rig, path, (*left_notes, *right_notes), sizes_px, view)
+    else:
+        check_rig(given, source)
+        fitted, notes = fitted_rig(given, (sizes_px[0], sizes_px[1]), source)
+    loaded = _of_cameras(fitted, path, notes, sizes_px, view)
+    return replace(loaded, alternatives=size_alternatives(left, sizes_px[0]))
 
 
 def _of_cameras(

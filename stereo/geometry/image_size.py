@@ -1,0 +1,158 @@
+"""Adaptation of a calibrated camera to the size of its images, and what speaks for another size.
+
+A matrix K is of use only with the size of the images that it was measured in. Where a file lacks this size, or states
+another one than that of K, the principal point shows it: centred in images of W px, it lies off centre in images of w.
+
+    resized:  f' = f w / W        cropped:  f' = f
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.rig import RigError, StereoRig
+
+_CROPPED_PX = 2  # largest number of rows or columns that video codecs crop
+_ASPECT_TOLERANCE = 0.01  # largest relative difference of aspect ratios at which a calibration is scaled
+# Largest distance of the principal point from the middle / image width: up to 0.036 in 28 cameras of KITTI, KITTI-360,
+# EuRoC, Cityscapes, nuScenes, TuSimple, OAK-D and others, 0.047 in one; 0.10 in Middlebury's crops. Above 0.07: doubt.
+_CENTRED, _OFF_CENTRE = 0.05, 0.07
+_USUAL_FOV_DEG = (20.0, 130.0)  # horizontal field of view of pinhole cameras for driving
+_COMMON_SIZES = (
+    *((640, 360), (848, 480), (960, 540), (1280, 720), (1600, 900), (1920, 1080), (2304, 1296), (2560, 1440)),
+    *((2704, 1520), (3840, 2160), (640, 480), (800, 600), (1024, 768), (1280, 960), (1440, 1080), (1600, 1200)),
+    *((2592, 1944), (1280, 800), (1920, 1200), (1928, 1208), (752, 480), (672, 376), (2208, 1242), (1164, 874)),
+    *((1242, 375), (1408, 376), (1392, 512), (2048, 1024), (1762, 800)),
+)
+"""Usual sizes of images of cameras and data sets for driving, pixels."""
+
+
+class FocalAlternative(NamedTuple):
+    """Another reading of a calibration or focal length."""
+
+    factor: float  # by which the distances are too long if it holds
+    cause: str  # what would have happened, for messages
+    is_shown: bool  # whether something speaks for it (the principal point); False = it cannot be excluded
+
+
+def size_alternatives(camera: PinholeCamera, size_px: tuple[int, int]) -> tuple[FocalAlternative, ...]:
+    """Other readings of a camera as its file has it, for images of `size_px` = (width, height)."""
+    size = camera.size_px if camera.width_px else size_px
+    width = size[0]
+    others: list[FocalAlternative] = []
+    if abs(camera.cx_px - (width - 1) / 2) > _OFF_CENTRE * width:
+        for other in _centred_sizes(camera, size):
+            cause = f"K is that of images of {other[0]}x{other[1]} px, which were resized"
+            others.append(FocalAlternative(other[0] / width, cause, is_shown=True))
+    if camera.width_px and not is_size_of(camera, size_px):
+        cause = f"the images of {size_px[0]}x{size_px[1]} px are a crop of those of the calibration, not resized"
+        others.append(FocalAlternative(size_px[0] / width, cause, is_shown=False))
+    return tuple(others)
+
+
+def _centred_sizes(camera: PinholeCamera, size_px: tuple[int, int]) -> list[tuple[int, int]]:
+    """Up to two usual sizes in which the principal point is central, those with the aspect of `size_px` first."""
+    sizes = [
+        (w, h)
+        for w, h in _COMMON_SIZES
+        if max(abs(camera.cx_px - (w - 1) / 2), abs(camera.cy_px - (h - 1) / 2)) <= _CENTRED * w
+    ]
+    sizes.sort(key=lambda wh: abs(math.log(wh[0] / wh[1] * size_px[1] / size_px[0])))
+    return sizes[:2] or [(round(2 * camera.cx_px + 1), round(2 * camera.cy_px + 1))]
+
+
+def fitted_to_size(
+    camera: PinholeCamera, size_px: tuple[int, int], source: object
+) -> tuple[PinholeCamera, tuple[str, ...]]:
+    """The camera adapted to images of `size_px` = (width, height), and notes for the user.
+
+    The calibrated size may differ by a few rows or columns cropped by a codec; otherwise the camera is scaled if the
+    aspect ratio agrees. Without a calibrated size, the principal point must lie in the middle third of the image.
+    Raises RigError if the calibration is for images of a different shape or size.
+    """
+    width, height = size_px
+    fitted, notes = replace(camera, width_px=width, height_px=height), tuple[str, ...]()
+    calibrated = f"{camera.width_px}x{camera.height_px}"
+    if camera.width_px == 0:
+        if not (width / 3 <= camera.cx_px <= width * 2 / 3 and height / 3 <= camera.cy_px <= height * 2 / 3):
+            raise RigError(
+                f"{source}: expected a principal point in the middle third of the {width}x{height} px images, found "
+                f"({camera.cx_px:.1f}, {camera.cy_px:.1f}), as in images of {_listed(_centred_sizes(camera, size_px))} "
+                "px; give the calibration of these images."
+            )
+        notes = (f"{source}: the calibration has no image size; taken for {width}x{height} px, that of the images.",)
+    elif not is_size_of(camera, size_px):
+        if not has_aspect_of(camera, size_px):
+            raise RigError(
+                f"{source}: expected images with the aspect ratio of {calibrated} px, found {width}x{height} px; give "
+                "the calibration of these images."
+            )
+        scale_x, scale_y = width / camera.width_px, height / camera.height_px
+        fitted = replace(
+            fitted,
+            fx_px=camera.fx_px * scale_x,
+            fy_px=camera.fy_px * scale_y,
+            cx_px=(camera.cx_px + 0.5) * scale_x - 0.5,  # pixel edges map to pixel edges
+            cy_px=(camera.cy_px + 0.5) * scale_y - 0.5,
+        )
+        notes = (
+            f"{source}: calibration scaled from {calibrated} px to the image size, {width}x{height} px, assuming that "
+            f"the images are resized: focal length {fitted.fx_px:.0f} px. If they are cropped, as in modes that use a "
+            f"part of the sensor, it is {camera.fx_px:.0f} px, and distances are {1 / scale_x:.2f} times as long: then "
+            "give the calibration of these images.",
+        )
+    doubts = [other for other in size_alternatives(camera, size_px) if other.is_shown]
+    if doubts:
+        own = camera.size_px if camera.width_px else size_px
+        likely, sizes = doubts[0], _centred_sizes(camera, own)
+        notes += (
+            f"{source}: focal length in doubt: the principal point x = {camera.cx_px:.0f} px is "
+            f"{abs(camera.cx_px + 0.5 - own[0] / 2) / own[0]:.0%} of the width off the middle of {own[0]}x{own[1]} px, "
+            f"where those of lenses are within {_CENTRED:.0%}; it would be central in images of {_listed(sizes)} px. "
+            f"If the images were resized from {sizes[0][0]}x{sizes[0][1]} px, the focal length is "
+            f"{fitted.fx_px / likely.factor:.0f} px instead of {fitted.fx_px:.0f} px, and distances are "
+            f"{likely.factor:.2f} times what they should be: then state this size in the calibration (track-range rig "
+            f"convert FILE rig.yaml --size {sizes[0][0]}x{sizes[0][1]}, if it has none). If they were cropped, it is "
+            "right. The sigmas of all distances cover both.",
+        )
+    return fitted, (*notes, *field_notes(fitted, source))
+
+
+def fitted_rig(
+    rig: StereoRig, sizes_px: tuple[tuple[int, int], tuple[int, int]], source: object
+) -> tuple[StereoRig, tuple[str, ...]]:
+    """The pair adapted to images of two sizes, see `fitted_to_size`; notes that hold for both cameras appear once."""
+    left, left_notes = fitted_to_size(rig.left, sizes_px[0], f"{source} (left)")
+    right, right_notes = fitted_to_size(rig.right, sizes_px[1], f"{source} (right)")
+    is_equal = sizes_px[0] == sizes_px[1] and rig.left.size_px == rig.right.size_px and left_notes
+    return StereoRig(left, right, rig.right_from_left), left_notes if is_equal else (*left_notes, *right_notes)
+
+
+def field_notes(camera: PinholeCamera, source: object) -> tuple[str, ...]:
+    """A note on a focal length of a pinhole camera with an unusual field of view."""
+    fov_deg = 2 * math.degrees(math.atan(camera.width_px / 2 / camera.fx_px))
+    if camera.is_wide or _USUAL_FOV_DEG[0] <= fov_deg <= _USUAL_FOV_DEG[1]:
+        return ()
+    low, high = (f"{camera.width_px / 2 / math.tan(math.radians(deg) / 2):.0f}" for deg in _USUAL_FOV_DEG[::-1])
+    return (
+        f"{source}: a focal length of {camera.fx_px:.0f} px in images {camera.width_px} px wide is a field of view of "
+        f"{fov_deg:.0f} degrees; cameras for driving have {_USUAL_FOV_DEG[0]:.0f} to {_USUAL_FOV_DEG[1]:.0f} degrees, "
+        f"{low} to {high} px. Check that it is the focal length of images of this size.",
+    )
+
+
+def _listed(sizes: list[tuple[int, int]]) -> str:
+    return " or ".join(f"{width}x{height}" for width, height in sizes)
+
+
+def is_size_of(camera: PinholeCamera, size_px: tuple[int, int]) -> bool:
+    """Whether images of this size are those of the camera, perhaps cropped by a codec."""
+    return all(0 <= own - side <= _CROPPED_PX for own, side in zip(camera.size_px, size_px, strict=True))
+
+
+def has_aspect_of(camera: PinholeCamera, size_px: tuple[int, int]) -> bool:
+    """Whether images of this size have the aspect ratio of the camera's."""
+    return abs((size_px[0] / camera.width_px) / (size_px[1] / camera.height_px) - 1) <= _ASPECT_TOLERANCE

@@ -1,0 +1,94 @@
+"""Calibrations of images of another size: what is assumed, what speaks against it, and by which factor."""
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from track_range.recording.cameras.calibration import calibration_of
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.image_size import field_notes, fitted_to_size, size_alternatives
+from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.rig_formats.reading import load_calibration
+
+KITTI = PinholeCamera(721.5377, 721.5377, 609.5593, 172.854, 0, 0)  # calib.txt has no image size
+HD = PinholeCamera(1150.0, 1150.0, 655.0, 349.0, 1280, 720)  # 1 % of the width off centre
+
+
+@pytest.mark.parametrize(
+    ("size_px", "factor"),
+    [
+        ((1242, 375), None),
+        ((1241, 376), None),
+        ((1242, 374), None),
+        ((931, 281), 1242 / 931),
+        ((1024, 320), 1242 / 1024),
+    ],
+)
+def test_a_calibration_without_a_size(size_px, factor):
+    camera, notes = fitted_to_size(KITTI, size_px, "calib.txt")
+    assert camera == dataclasses.replace(KITTI, width_px=size_px[0], height_px=size_px[1])
+    assert f"no image size; taken for {size_px[0]}x{size_px[1]} px" in notes[0]
+    assert [other.factor for other in size_alternatives(KITTI, size_px)][:1] == ([] if factor is None else [factor])
+    assert len(notes) == (1 if factor is None else 2)
+    if factor is not None:
+        assert all(
+            text in notes[1]
+            for text in ("1242x375", f"{721.5377 / factor:.0f} px instead of 722 px", f"{factor:.2f} times")
+        )
+
+
+def test_half_of_kitti_is_refused_with_the_size_that_fits():
+    with pytest.raises(RigError, match=r"middle third.*1242x375"):
+        fitted_to_size(KITTI, (621, 188), "calib.txt")
+
+
+@pytest.mark.parametrize(("scale", "factor"), [(0.5, 0.5), (0.75, 0.75), (1.5, 1.5)])
+def test_a_matrix_that_did_not_follow_the_resolution(scale, factor):
+    wrong = PinholeCamera(
+        HD.fx_px * scale, HD.fy_px * scale, (HD.cx_px + 0.5) * scale - 0.5, (HD.cy_px + 0.5) * scale - 0.5, 1280, 720
+    )
+    shown = [other.factor for other in size_alternatives(wrong, (1280, 720)) if other.is_shown]
+    assert shown[0] == pytest.approx(factor)
+    assert "focal length in doubt" in fitted_to_size(wrong, (1280, 720), "info.yaml")[1][0]
+    scaled = size_alternatives(wrong, (640, 360))  # the images are resized, too
+    assert (scaled[0].factor, scaled[-1].factor) == (pytest.approx(factor), pytest.approx(0.5))
+    loaded = calibration_of(StereoRig.rectified(wrong, 0.5), ((1280, 720),))
+    assert loaded.focal_sigma == pytest.approx(max(abs(1 - 1 / other) for other in shown))
+
+
+def test_resized_or_cropped_is_stated_and_not_in_doubt():
+    camera, notes = fitted_to_size(HD, (640, 360), "rig.yaml")
+    assert camera.fx_px == 575.0
+    assert "575 px" in notes[0]
+    assert "it is 1150 px, and distances are 2.00 times" in notes[0]
+    (cropped,) = size_alternatives(HD, (640, 360))
+    assert (cropped.factor, cropped.is_shown) == (0.5, False)
+    loaded = calibration_of(HD, ((640, 360),))
+    assert (loaded.focal_sigma, loaded.alternatives) == (0.0, (cropped,))
+
+
+@pytest.mark.parametrize(("focal_px", "n_notes"), [(250.0, 1), (300.0, 0), (1150.0, 0), (3600.0, 0), (3700.0, 1)])
+def test_unusual_fields_of_view(focal_px, n_notes):
+    notes = field_notes(
+        PinholeCamera.of_focal_length(focal_px, (1280, 720)), "--focal-px"
+    )  # 137, 130, 20, 19.6 degrees
+    assert len(notes) == n_notes
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(
+    ("name", "size_px"),
+    [
+        ("kitti_stereo/0003/calib.txt", (1242, 375)),
+        ("kitti_odometry/gray51/calib.txt", (1226, 370)),
+        ("calibrations/kitti_more/perspective.txt", (1408, 376)),
+        ("calibrations/opencv_more/T_row.yml", (640, 480)),
+        ("fisheye/kalibr/tum_vi.yaml", (512, 512)),
+        ("fisheye/kalibr/euroc_mav.yaml", (752, 480)),
+    ],
+)
+def test_principal_points_of_real_calibrations_are_not_doubted(shared_data: Path, name, size_px):
+    cameras, _ = load_calibration(shared_data / name)
+    assert isinstance(cameras, StereoRig)
+    assert size_alternatives(cameras.left, size_px) == size_alternatives(cameras.right, size_px) == ()
