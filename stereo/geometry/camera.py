@@ -16,6 +16,23 @@ import numpy.typing as npt
 from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.lenses import LENSES, PINHOLE
 
+_SQUARE = 0.03  # relative difference of fx and fy up to which pixels are used as they are; lenses differ by 0.01
+
+
+_HALVED_PX = {(640, 720), (960, 1080), (1280, 1440), (1296, 1944), (1920, 2160)}
+"""Sizes of recorders that leave out every other column (720N, 1080N, 4M-N, 5M-N, 4K-N); no sensor has them."""
+
+
+def pixel_aspect_of(size_px: tuple[int, int], stated: float | None) -> float:
+    """Width / height of the pixels of recorded images, by what their file states (None = nothing) and their size."""
+    return 2.0 if stated in (None, 1.0) and size_px in _HALVED_PX else stated or 1.0
+
+
+def square_size(size_px: tuple[int, int], pixel_aspect: float) -> tuple[int, int]:
+    """(width, height) of images with square pixels for images whose pixels are `pixel_aspect` times as wide as high."""
+    width_px, height_px = size_px
+    return round(width_px * max(pixel_aspect, 1.0)), round(height_px * max(1.0 / pixel_aspect, 1.0))
+
 
 @dataclass(frozen=True, slots=True)
 class PinholeCamera:
@@ -75,6 +92,34 @@ class PinholeCamera:
     def without_distortion(self) -> PinholeCamera:
         """The ideal pinhole with the same matrix: the camera of undistorted images, except of a wide lens."""
         return replace(self, distortion=(), lens=PINHOLE)
+
+    def resized(self, size_px: tuple[int, int]) -> PinholeCamera:
+        """The camera of its images after they are resized to `size_px` = (width, height): pixel edges map to edges."""
+        if size_px == self.size_px:
+            return self
+        scale_x, scale_y = size_px[0] / self.width_px, size_px[1] / self.height_px
+        return replace(
+            self,
+            fx_px=self.fx_px * scale_x,
+            fy_px=self.fy_px * scale_y,
+            cx_px=(self.cx_px + 0.5) * scale_x - 0.5,
+            cy_px=(self.cy_px + 0.5) * scale_y - 0.5,
+            width_px=size_px[0],
+            height_px=size_px[1],
+        )
+
+    @property
+    def has_square_pixels(self) -> bool:
+        """Whether the focal lengths in x and y are about equal; other images are resampled before anything else."""
+        return abs(self.fy_px / self.fx_px - 1.0) <= _SQUARE
+
+    def squared(self) -> PinholeCamera:
+        """The ideal pinhole with square pixels of images whose coarser axis is enlarged for it."""
+        if self.has_square_pixels:
+            return self.without_distortion()
+        resized = self.without_distortion().resized(square_size(self.size_px, self.fy_px / self.fx_px))
+        focal_px = max(self.fx_px, self.fy_px)
+        return replace(resized, fx_px=focal_px, fy_px=focal_px)
 
     def recorded_rays(self, xy_px: FloatArray) -> FloatArray:
         """(N, 3) unit direction of each pixel (N, 2) of the images with distortion; NaN outside the image circle."""

@@ -30,6 +30,9 @@ _COMMON_SIZES = (
 """Usual sizes of images of cameras and data sets for driving, pixels."""
 
 
+_ANALOGUE_PX = (352, 704, 720, 960), (240, 288, 480, 576)  # widths and heights of digitised analogue video
+
+
 class FocalAlternative(NamedTuple):
     """Another reading of a calibration or focal length."""
 
@@ -90,19 +93,12 @@ def fitted_to_size(
                 f"{source}: expected images with the aspect ratio of {calibrated} px, found {width}x{height} px; give "
                 "the calibration of these images."
             )
-        scale_x, scale_y = width / camera.width_px, height / camera.height_px
-        fitted = replace(
-            fitted,
-            fx_px=camera.fx_px * scale_x,
-            fy_px=camera.fy_px * scale_y,
-            cx_px=(camera.cx_px + 0.5) * scale_x - 0.5,  # pixel edges map to pixel edges
-            cy_px=(camera.cy_px + 0.5) * scale_y - 0.5,
-        )
+        fitted = camera.resized(size_px)
         notes = (
             f"{source}: calibration scaled from {calibrated} px to the image size, {width}x{height} px, assuming that "
             f"the images are resized: focal length {fitted.fx_px:.0f} px. If they are cropped, as in modes that use a "
-            f"part of the sensor, it is {camera.fx_px:.0f} px, and distances are {1 / scale_x:.2f} times as long: then "
-            "give the calibration of these images.",
+            f"part of the sensor, it is {camera.fx_px:.0f} px, and distances are {camera.width_px / width:.2f} times "
+            "as long: then give the calibration of these images.",
         )
     doubts = [other for other in size_alternatives(camera, size_px) if other.is_shown]
     if doubts:
@@ -129,6 +125,30 @@ def fitted_rig(
     right, right_notes = fitted_to_size(rig.right, sizes_px[1], f"{source} (right)")
     is_equal = sizes_px[0] == sizes_px[1] and rig.left.size_px == rig.right.size_px and left_notes
     return StereoRig(left, right, rig.right_from_left), left_notes if is_equal else (*left_notes, *right_notes)
+
+
+def analogue_alternatives(
+    size_px: tuple[int, int], source: object
+) -> tuple[tuple[FocalAlternative, ...], tuple[str, ...]]:
+    """Shapes in which images of analogue video without a stated pixel aspect are shown, and a note; else nothing.
+
+    Distances by width are too long by the pixel aspect, those by height are right: the factor is in between.
+    """
+    width, height = size_px
+    if width not in _ANALOGUE_PX[0] or height not in _ANALOGUE_PX[1]:
+        return (), ()
+    aspects = {shape: shape[0] / shape[1] * height / width for shape in ((4, 3), (16, 9))}
+    others = tuple(
+        FocalAlternative(math.sqrt(aspect), f"the images are to be shown as {shape[0]}:{shape[1]}", is_shown=True)
+        for shape, aspect in aspects.items()
+    )
+    note = (
+        f"{source}: images of {width}x{height} px are usually stored with pixels that are not square ("
+        f"{aspects[4, 3]:.2f} times as wide as high if shown as 4:3, {aspects[16, 9]:.2f} times as 16:9), but the file "
+        "does not state it: taken as square. If the images look squeezed, state their shape, as with ffmpeg -i IN -c "
+        "copy -aspect 4:3 OUT.mp4; the sigmas of all distances cover it."
+    )
+    return others, (note,)
 
 
 def field_notes(camera: PinholeCamera, source: object) -> tuple[str, ...]:

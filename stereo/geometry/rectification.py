@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -172,14 +172,14 @@ class Undistorter(_UndistortedImages):
 
     The images of a wide lens are undistorted to the horizontal field of view `fov_deg`, None = that of the lens, up to
     120 degrees, about an axis `yaw_deg` to the right of the camera's. The attribute `camera` is the ideal camera of the
-    undistorted images; its matrix is that of the distorted camera, or for a wide lens that of its virtual pinhole.
+    undistorted images: with the matrix of the distorted one, but square pixels; of a wide lens its virtual pinhole.
     """
 
     def __init__(self, camera: PinholeCamera, *, fov_deg: float | None = None, yaw_deg: float = 0.0) -> None:
-        self.camera = virtual_pinhole(camera, fov_deg, yaw_deg) if camera.is_wide else camera.without_distortion()
+        self.camera = virtual_pinhole(camera, fov_deg, yaw_deg) if camera.is_wide else camera.squared()
         self.recorded_size_px = camera.size_px
         view = _View(camera, view_from_camera(yaw_deg), self.camera.matrix)
-        self._view = view if camera.is_distorted else None
+        self._view = view if camera.is_distorted or not camera.has_square_pixels else None
         self._maps = None if self._view is None else _maps(self._view, self.camera.size_px)
 
     def undistort(self, image: Image) -> Image:
@@ -269,6 +269,7 @@ def stereo_rectification(
         rig.right_from_left[:3, 3:],
         flags=cv2.STEREO_ZERO_DISPARITY,
         alpha=0,  # no black borders where the lenses allow it
+        newImageSize=rig.left.squared().size_px,
     )
     return result[:5]
 
@@ -301,12 +302,16 @@ def rectified_points(camera: PinholeCamera, rotation: _Matrix, projection: _Matr
 
 
 def _ideal(camera: PinholeCamera, fov_deg: float | None) -> PinholeCamera:
-    """The virtual pinhole of a wide lens; other cameras without their distortion."""
-    return virtual_pinhole(camera, fov_deg) if camera.is_wide else camera.without_distortion()
+    """The virtual pinhole of a wide lens; other cameras without their distortion, with square pixels."""
+    return virtual_pinhole(camera, fov_deg) if camera.is_wide else camera.squared()
 
 
 def _rectified(rig: StereoRig, fov_deg: float | None, source: object) -> tuple[StereoRig, _View, _View]:
     """The rectified rig, and the remappings of both cameras."""
+    squared = replace(rig, left=rig.left.squared(), right=rig.right.squared())
+    if squared.is_rectified and not (rig.left.is_distorted or rig.right.is_distorted):
+        left, right = (_View(camera, np.eye(3), squared.left.matrix) for camera in (rig.left, rig.right))
+        return squared, left, right
     angle_rad = rotation_angle_rad(rig.right_from_left[:3, :3])
     if angle_rad > _MAX_ROTATION_RAD:
         raise RigError(
@@ -324,7 +329,7 @@ def _rectified(rig: StereoRig, fov_deg: float | None, source: object) -> tuple[S
                 f"the {side} camera by {math.degrees(rotation_angle_rad(rotation)):.0f} degrees; check the translation."
             )
     focal_px = float(p1[0, 0])
-    zoom = focal_px / axial_focal_px(rig.left)
+    zoom = focal_px / target.fx_px
     if not 1 / _MAX_ZOOM <= zoom <= _MAX_ZOOM:
         raise RigError(
             f"{source}: expected a rectification that changes the focal length by a factor of at most {_MAX_ZOOM:g}, "

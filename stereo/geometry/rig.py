@@ -70,6 +70,7 @@ class StereoRig:
         translation[0, 3] = self.right_from_left[0, 3]
         return (
             not (self.left.is_distorted or self.right.is_distorted)
+            and self.left.has_square_pixels
             and self.left.size_px == self.right.size_px
             and np.allclose(self.left.matrix, self.right.matrix, atol=1e-6)
             and np.allclose(self.right_from_left, translation, atol=1e-9)

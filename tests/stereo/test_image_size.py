@@ -3,11 +3,13 @@
 import dataclasses
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from track_range.recording.cameras.calibration import calibration_of
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.image_size import field_notes, fitted_to_size, size_alternatives
+from track_range.stereo.geometry.rectification import Rectifier, Undistorter
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.rig_formats.reading import load_calibration
 
@@ -74,6 +76,36 @@ def test_unusual_fields_of_view(focal_px, n_notes):
         PinholeCamera.of_focal_length(focal_px, (1280, 720)), "--focal-px"
     )  # 137, 130, 20, 19.6 degrees
     assert len(notes) == n_notes
+
+
+SQUEEZED = PinholeCamera(575.0, 1150.0, 470.0, 530.0, 960, 1080)  # 1080N: every other column is left out
+SQUARE = PinholeCamera(1150.0, 1150.0, 940.5, 530.0, 1920, 1080)  # pixel edges map to pixel edges: 2 (470 + 0.5) - 0.5
+
+
+def test_images_of_other_than_square_pixels_are_resampled():
+    assert SQUEEZED.squared() == SQUARE
+    assert SQUARE.squared() == SQUARE
+    high = PinholeCamera(1000.0, 800.0, 479.5, 287.5, 960, 576).squared()  # 960H shown as 4:3
+    assert high == PinholeCamera(1000.0, 1000.0, 479.5, 359.5, 960, 720)
+    one, pair = Undistorter(SQUEEZED), Rectifier(StereoRig.rectified(SQUEEZED, 0.5))
+    assert one.camera == pair.rig.left == pair.rig.right == SQUARE
+    assert pair.rig.baseline_m == 0.5
+    assert np.allclose(one.left_boxes(np.array([[100.0, 50.0, 200.0, 90.0]])), [[200.5, 50.0, 400.5, 90.0]])
+    image = np.zeros((1080, 960, 3), np.uint8)
+    image[:, 300:302] = 200
+    assert one.undistort(image)[500, [600, 601, 602, 603], 0].min() > 100
+    left, right = pair.rectify(image, np.roll(image, -20, axis=1))
+    assert np.flatnonzero(left[500, :, 0] > 100).mean() == 601.5
+    assert np.flatnonzero(right[500:501, :][0] > 100).mean() == 561.5  # a disparity of 20 stored pixels is one of 40
+
+
+@pytest.mark.parametrize("distortion", [(), (-0.2, 0.05, 0.0, 0.0, 0.0)])
+def test_rectification_of_squeezed_pairs_keeps_the_view(distortion):
+    rig = StereoRig.rectified(dataclasses.replace(SQUEEZED, distortion=distortion), 0.5)
+    rectified = Rectifier(rig).rig
+    assert rectified.left.size_px == (1920, 1080)
+    assert rectified.left.fx_px == rectified.left.fy_px == pytest.approx(1150.0, rel=0.06)
+    assert rectified.baseline_m == pytest.approx(0.5)
 
 
 @pytest.mark.real

@@ -14,6 +14,7 @@ from track_range.recording.frame import VideoError, VideoFrame
 from track_range.recording.names import RecordedName
 from track_range.recording.threads import DECODER_THREADS
 from track_range.recording.utc import UtcStart
+from track_range.stereo.geometry.camera import pixel_aspect_of, square_size
 
 _now_s = time.thread_time if DECODER_THREADS == 1 else time.perf_counter
 
@@ -40,6 +41,7 @@ class RecordedVideo(ABC):
     path: RecordedName  # name of the recording
     width_px: int  # of the upright images, as the height
     height_px: int
+    pixel_aspect: float | None = None  # width / height of the pixels as the file states it; None = not stated
     is_grey: bool  # whether the first frame has no colour
     fps: float  # nominal frame rate
     first_time_s: float  # time of the file's first frame, independent of the selected part
@@ -66,6 +68,12 @@ class RecordedVideo(ABC):
         """The video files, or the folder of images, with their times; none for a topic of a bag."""
         duration_s = (self.n_total or 0) / self.fps if self.fps else 0.0
         return (VideoPart(Path(str(self.path)), 0.0, duration_s, self.utc),)
+
+    @property
+    def shown_size_px(self) -> tuple[int, int]:
+        """(width, height) of the images with square pixels."""
+        size_px = self.width_px, self.height_px
+        return square_size(size_px, pixel_aspect_of(size_px, self.pixel_aspect))
 
     @property
     def n_frames(self) -> int | None:

@@ -228,6 +228,7 @@ class Run:
                     with session.results() as results, frame_progress(self._console, self.n_frames) as advance:
                         for result in results:
                             session.meter.add(result)
+                            session.findings.add(result)
                             with defer_interrupts():
                                 output.write(result, session.rows.add)
                             advance()

@@ -47,6 +47,7 @@ from track_range.results.table import RunRows
 from track_range.results.writers import RunInfo
 from track_range.run.box_source import boxes_of, open_box_source
 from track_range.run.build import open_input, open_pipeline
+from track_range.run.findings import Findings
 from track_range.run.options.opened import DetectorOptions
 from track_range.run.pictures import missing_outputs
 from track_range.run.progress import step_progress
@@ -131,6 +132,7 @@ class RunSession:
             on_error.pop_all()
         self.rows = RunRows(fps=self.recording.fps, finder=EventFinder(settings.event_settings))
         self.meter = FrameMeter(self.recording.live)
+        self.findings = Findings()
 
     def _estimate_focal_length(self, size_model: SizeModel, progress: StepProgress) -> None:
         """Estimate the unknown focal length of a recording that is not live from the boxes in its first seconds."""
@@ -287,7 +289,8 @@ class RunSession:
         rows.finish()
         columns, n_frames = rows.table.to_columns(), len(rows)
         matched = None if self.truth is None else matched_truth(columns, self.truth)
-        self.frame_notes = self._notes_on_frames(columns)
+        detect = None if self.box_source.prepare is None else self.box_source.detect
+        self.frame_notes = (*self._notes_on_frames(columns), *self.findings.notes(detect, recording.rig))
         busy_s = {**pipeline.clock.busy_s, "read": recording.busy_s}
         summary = {
             "frames": n_frames,

@@ -66,7 +66,7 @@ def test_wrong_lanes(text):
 
 def reader(metadata, path="drive.mp4", size=(1920, 1080)):
     """Properties of an opened video."""
-    return SimpleNamespace(width_px=size[0], height_px=size[1], metadata=metadata, path=path)
+    return SimpleNamespace(shown_size_px=size, metadata=metadata, path=path)
 
 
 def test_focal_length_of_apples_header():

@@ -153,15 +153,28 @@ def test_two_cameras_in_one_folder(folder: Path, level: Level) -> None:
 def test_damaged_image(folder: Path, level: Level, stored: bytes) -> None:
     fill(folder, level, [0, 1, 2])
     (folder / "000001.png").write_bytes(stored)
-    frames = iter(open_video(folder))
-    assert next(frames).index == 0
-    with pytest.raises(VideoError, match=r"000001.png: .*damaged"):
-        next(frames)
+    reader = open_video(folder)
+    for _ in range(2):  # each reading counts anew
+        assert [(frame.index, round(frame.time_s, 6)) for frame in reader] == [(0, 0.0), (2, 0.2)]
+        (note,) = reader.notes
+        assert "1 unreadable image skipped" in note
+        assert "000001.png" in note
 
 
-def test_damaged_first_image(folder: Path, level: Level) -> None:
+def test_damaged_first_images(folder: Path, level: Level) -> None:
+    fill(folder, level, [0, 1, 2])
+    for name in ("000000.png", "000001.png"):
+        (folder / name).write_bytes((folder / name).read_bytes()[:60])
+    reader = open_video(folder)
+    assert (reader.width_px, reader.height_px, reader.first_time_s) == (64, 48, pytest.approx(0.2))
+    assert [frame.index for frame in reader] == [2]
+    assert "2 unreadable images skipped" in reader.notes[0]
+
+
+def test_no_readable_image(folder: Path, level: Level) -> None:
     fill(folder, level, [0, 1])
-    (folder / "000000.png").write_bytes((folder / "000000.png").read_bytes()[:60])
+    for file in folder.iterdir():
+        file.write_bytes(b"no image at all")
     with pytest.raises(VideoError, match=r"000000.png: .*damaged"):
         open_video(folder)
 

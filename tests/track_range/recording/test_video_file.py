@@ -126,10 +126,26 @@ def test_rotation_by_an_odd_angle_is_ignored(tmp_path: Path, film: Film) -> None
     assert (reader.width_px, reader.height_px, reader.notes) == (64, 48, ())
 
 
-def test_non_square_pixels_are_reported(tmp_path: Path, film: Film) -> None:
-    reader = open_video(film(tmp_path / "wide.mp4", [0.0, 0.1], aspect=Fraction(4, 3)))
-    assert reader.width_px == 64
-    assert "not square" in reader.notes[0]
+@pytest.mark.parametrize(
+    ("aspect", "quarter_turns", "stated", "shown_px"),
+    [
+        (Fraction(4, 3), 0, 4 / 3, (85, 48)),
+        (Fraction(4, 5), 0, 4 / 5, (64, 60)),
+        (Fraction(2), 90, 1 / 2, (48, 128)),
+        (Fraction(0), 0, None, (64, 48)),
+        (Fraction(1), 0, 1.0, (64, 48)),
+        (Fraction(9), 0, None, (64, 48)),  # not plausible
+    ],
+)
+def test_pixel_aspect_as_the_file_states_it(
+    tmp_path: Path, film: Film, aspect: Fraction, quarter_turns: int, stated: float | None, shown_px: tuple[int, int]
+) -> None:
+    rotation = (quarter_turns, False, False) if quarter_turns else None
+    reader = open_video(film(tmp_path / "wide.mp4", [0.0, 0.1], aspect=aspect, rotation=rotation))
+    assert (reader.width_px, reader.height_px) == ((48, 64) if quarter_turns else (64, 48))
+    assert reader.pixel_aspect == (None if stated is None else pytest.approx(stated))
+    assert reader.shown_size_px == shown_px
+    assert any("is ignored" in note for note in reader.notes) == (aspect == 9)
 
 
 def test_stream_without_timestamps(tmp_path: Path, film: Film, number_in: NumberIn) -> None:

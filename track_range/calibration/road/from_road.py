@@ -127,7 +127,7 @@ def calibrate_on_road(
     if isinstance(video, LiveAddress) or not files_of(video):
         raise UsageError(f"--mono {video}: expected a recorded video; record the camera first.")
     with closing(open_video(video)) as reader:
-        size_px = reader.width_px, reader.height_px
+        size_px = reader.shown_size_px
         duration_s = (reader.n_frames or 0) / reader.fps if reader.fps else 0.0
         guesses = focal_guesses(reader, settings.camera_model)
     for known in objects:

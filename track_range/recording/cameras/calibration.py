@@ -22,10 +22,11 @@ from track_range.recording.pairs.auto_alignment import PairAlignment
 from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.utc import UtcStart
 from track_range.stereo.alignment.model import MAX_ROW_OFFSET_PX, RightView
-from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.camera import PinholeCamera, pixel_aspect_of, square_size
 from track_range.stereo.geometry.frames import Frame, ImageView
 from track_range.stereo.geometry.image_size import (
     FocalAlternative,
+    analogue_alternatives,
     field_notes,
     fitted_rig,
     fitted_to_size,
@@ -49,6 +50,8 @@ _GIVEN_FOCAL_SIGMA = 0.02  # relative standard deviation of a focal length given
 _ASSUMED_BASELINE_M = 0.5  # baseline of an uncalibrated pair; it only sets the range of disparities that is searched
 _MAX_HEIGHT_SIGMA = 0.05  # relative standard deviation of a fitted camera height up to which it is used as known
 _CODEC_CROP_PX = 2  # tolerated difference in size of left and right: codecs need even sizes, so one may lack a row
+
+_MAX_ASPECT_ERROR = 0.1  # largest relative difference of pixel aspects that is not worth a note: 4:3 by 480 or 486 rows
 
 Video = RecordedVideo | LiveVideo  # a source of the images of one camera
 
@@ -211,11 +214,12 @@ class RecordingCalibration:
             return self
         row_px = float(np.median(row_offsets_px))
         row_px = row_px if abs(row_px) > MAX_ROW_OFFSET_PX else 0.0
-        return replace(self, rectifier=Rectifier(_assumed_rig(self.camera), row_offset_px=row_px), row_offset_px=row_px)
+        rig = _assumed_rig(self.raw_camera or self.camera)
+        return replace(self, rectifier=Rectifier(rig, row_offset_px=row_px), row_offset_px=row_px)
 
     def with_focal_length(self, guess: FocalGuess) -> RecordingCalibration:
         """An uncalibrated recording with another focal length, on which its rectified images do not depend."""
-        return replace(self, camera=PinholeCamera.of_focal_length(guess.focal_px, self.sizes_px[0]), focal=guess)
+        return replace(self, camera=PinholeCamera.of_focal_length(guess.focal_px, self.camera.size_px), focal=guess)
 
 
 def find_calibration(
@@ -239,8 +243,9 @@ def find_calibration(
     sizes_px: Sizes = tuple((video.width_px, video.height_px) for video in videos)
     if all(abs(a - b) <= _CODEC_CROP_PX for a, b in zip(sizes_px[0], sizes_px[-1], strict=True)):
         sizes_px = ((min(w for w, _ in sizes_px), min(h for _, h in sizes_px)),) * len(sizes_px)
+    aspect = pixel_aspect_of((videos[0].width_px, videos[0].height_px), videos[0].pixel_aspect)
     if isinstance(rig, StereoRig):
-        return _of_models(rig, None, sizes_px, view)
+        return _of_models(rig, None, sizes_px, view, aspect)
     path, search_notes = rig, tuple[str, ...]()
     if rig is None and focal_px is None:
         in_bag = _calibration_in_bag(videos, sizes_px, view)
@@ -250,9 +255,10 @@ def find_calibration(
         path = None if first_file is None else find_rig(first_file)
         search_notes = () if path is None else (f"Using calibration {path} found next to the left video.",)
     if path is not None:
-        return replace(_loaded(path, sizes_px, view, is_grey=videos[0].is_grey), search_notes=search_notes)
+        loaded = _loaded(path, sizes_px, view, is_grey=videos[0].is_grey, aspect=aspect)
+        return replace(loaded, search_notes=search_notes)
     _check_view(None, view)
-    return _without_file(left, videos, sizes_px, focal_px)
+    return _without_file(left, videos, sizes_px, focal_px, aspect)
 
 
 def calibration_of(
@@ -276,15 +282,15 @@ def _check_view(camera: PinholeCamera | None, view: LensView) -> None:
 
 
 def _without_file(
-    left: VideoName, videos: Sequence[Video], sizes_px: Sizes, focal_px: float | None
+    left: VideoName, videos: Sequence[Video], sizes_px: Sizes, focal_px: float | None, aspect: float
 ) -> RecordingCalibration:
     """One camera or a pair with a given focal length, or an estimate from the header of the left video."""
     video, is_pair, is_exact = videos[0], len(videos) > 1, focal_px is not None and len(videos) == 1
-    guesses: tuple[FocalGuess, ...] = ()
+    guesses, shown_px = tuple[FocalGuess, ...](), square_size(sizes_px[0], aspect)
     if focal_px is None:
-        guesses = focal_guesses(video) if isinstance(video, RecordedVideo) else (default_guess(video.width_px),)
+        guesses = focal_guesses(video) if isinstance(video, RecordedVideo) else (default_guess(shown_px[0]),)
     guess = best_guess(guesses) if focal_px is None else FocalGuess(focal_px, _GIVEN_FOCAL_SIGMA, "--focal-px")
-    camera = PinholeCamera.of_focal_length(guess.focal_px, sizes_px[0])
+    camera = PinholeCamera.of_focal_length(guess.focal_px, shown_px)
     source = "--focal-px" if focal_px is not None else f"{left}: focal length"
     check_camera(camera, source)
     if sizes_px[0] != sizes_px[-1]:
@@ -293,26 +299,45 @@ def _without_file(
             f"{videos[1].path}: expected {lw}x{lh} px like {videos[0].path}, got {rw}x{rh}; unequal cameras need a "
             "--rig with both of them."
         )
+    stored = camera.resized(sizes_px[0])
+    is_stated = video.pixel_aspect is not None
+    others, notes = ((), ()) if is_stated else analogue_alternatives(sizes_px[0], video.path)
     return RecordingCalibration(
         kind="focal length" if is_exact else "estimated",
         camera=camera,
-        rectifier=Rectifier(_assumed_rig(camera)) if is_pair else Undistorter(camera),
+        rectifier=Rectifier(_assumed_rig(stored)) if is_pair else Undistorter(stored),
         sizes_px=sizes_px,
+        raw_camera=stored,
         guesses=guesses,
         focal=None if is_exact else guess,
-        file_notes=field_notes(camera, source),
+        alternatives=others,
+        file_notes=(*field_notes(camera, source), *_pixel_notes(stored, camera, aspect), *notes),
     )
 
 
-def _loaded(path: Path, sizes_px: Sizes, view: LensView, *, is_grey: bool) -> RecordingCalibration:
+def _sizes_of(camera: PinholeCamera, sizes_px: Sizes, aspect: float) -> Sizes:
+    """Sizes of the images as a calibration has them: with square pixels if these fit it better than the stored ones."""
+
+    def misfit(size_px: tuple[int, int]) -> float:
+        width, height = size_px
+        if not camera.width_px:
+            return abs((camera.cx_px + 0.5) / width - 0.5)
+        return abs(math.log(camera.width_px * height / (camera.height_px * width)))
+
+    shown_px = tuple(square_size(size_px, aspect) for size_px in sizes_px)
+    return shown_px if misfit(shown_px[0]) < misfit(sizes_px[0]) else sizes_px
+
+
+def _loaded(path: Path, sizes_px: Sizes, view: LensView, *, is_grey: bool, aspect: float = 1.0) -> RecordingCalibration:
+    fitted_px = _sizes_of(load_camera(path, size_px=None, is_grey=is_grey)[0], sizes_px, aspect)
     if len(sizes_px) > 1:
-        rig, notes = load_rig(path, size_px=sizes_px[0], right_size_px=sizes_px[1], is_grey=is_grey)
-        loaded = _of_cameras(rig, path, notes, sizes_px, view)
+        rig, notes = load_rig(path, size_px=fitted_px[0], right_size_px=fitted_px[1], is_grey=is_grey)
+        loaded = _of_cameras(rig, path, notes, sizes_px, view, aspect)
     else:
-        camera, notes = load_camera(path, size_px=sizes_px[0], is_grey=is_grey)
-        loaded = replace(_of_cameras(camera, path, notes, sizes_px, view), mounting=mounting_of(path))
+        camera, notes = load_camera(path, size_px=fitted_px[0], is_grey=is_grey)
+        loaded = replace(_of_cameras(camera, path, notes, sizes_px, view, aspect), mounting=mounting_of(path))
     shift_m = left_from_reference_m(path, is_grey=is_grey, size_px=sizes_px[0])
-    alternatives = alternatives_of(path, is_grey=is_grey, size_px=sizes_px[0])
+    alternatives = alternatives_of(path, is_grey=is_grey, size_px=fitted_px[0])
     return replace(loaded, left_from_reference_m=shift_m, alternatives=alternatives)
 
 
@@ -330,36 +355,45 @@ def _calibration_in_bag(videos: Sequence[Video], sizes_px: Sizes, view: LensView
 
 
 def _of_models(
-    given: StereoRig | PinholeCamera, path: Path | None, sizes_px: Sizes, view: LensView
+    given: StereoRig | PinholeCamera, path: Path | None, sizes_px: Sizes, view: LensView, aspect: float = 1.0
 ) -> RecordingCalibration:
     """The calibration of one camera, the left one of a rig, or of a pair; `path` is the file with the models."""
     source = path or "rig"
     left = given.left if isinstance(given, StereoRig) else given
     fitted: StereoRig | PinholeCamera
+    fitted_px = _sizes_of(left, sizes_px, aspect)
     if len(sizes_px) == 1:
-        fitted, notes = fitted_to_size(left, sizes_px[0], source)
+        fitted, notes = fitted_to_size(left, fitted_px[0], source)
         check_camera(fitted, source)
     elif isinstance(given, PinholeCamera):
         raise RigError(f"{source}: expected a rig of two cameras, found one camera.")
     else:
         check_rig(given, source)
-        fitted, notes = fitted_rig(given, (sizes_px[0], sizes_px[1]), source)
-    loaded = _of_cameras(fitted, path, notes, sizes_px, view)
-    return replace(loaded, alternatives=size_alternatives(left, sizes_px[0]))
+        fitted, notes = fitted_rig(given, (fitted_px[0], fitted_px[1]), source)
+    loaded = _of_cameras(fitted, path, notes, sizes_px, view, aspect)
+    return replace(loaded, alternatives=size_alternatives(left, fitted_px[0]))
 
 
 def _of_cameras(
-    cameras: StereoRig | PinholeCamera, path: Path | None, notes: tuple[str, ...], sizes_px: Sizes, view: LensView
+    cameras: StereoRig | PinholeCamera,
+    path: Path | None,
+    notes: tuple[str, ...],
+    sizes_px: Sizes,
+    view: LensView,
+    aspect: float,
 ) -> RecordingCalibration:
-    """The calibration of checked models with the sizes of the images."""
+    """The calibration of checked models, for images of these sizes."""
     rig: StereoRig | None = None
     if isinstance(cameras, StereoRig):
         _check_view(cameras.left, view)
+        left, right = cameras.left.resized(sizes_px[0]), cameras.right.resized(sizes_px[1])
+        cameras = StereoRig(left, right, cameras.right_from_left)
         pair = Rectifier(cameras, fov_deg=view.fov_deg, source=path or "rig")
         rectifier: Rectifier | Undistorter = pair
         rig, recorded, shown = pair.rig, cameras.left, pair.rig.left
     else:
         _check_view(cameras, view)
+        cameras = cameras.resized(sizes_px[0])
         rectifier = Undistorter(cameras, fov_deg=view.fov_deg, yaw_deg=view.yaw_deg)
         recorded, shown = cameras, rectifier.camera
     if recorded.is_wide:
@@ -381,8 +415,28 @@ def _of_cameras(
         raw_camera=recorded,
         view=view,
         path=path,
-        file_notes=notes,
+        file_notes=(*notes, *_pixel_notes(recorded, shown, aspect)),
     )
+
+
+def _pixel_notes(recorded: PinholeCamera, shown: PinholeCamera, aspect: float) -> tuple[str, ...]:
+    """A note on images that are resampled to square pixels, or that another pixel aspect is stated for."""
+    calibrated = recorded.fy_px / recorded.fx_px
+    size = f"{recorded.width_px}x{recorded.height_px} px"
+    notes = []
+    if not (recorded.has_square_pixels or recorded.is_wide):
+        notes.append(
+            f"The pixels of the images of {size} are not square, but {calibrated:.3g} times as wide as high: the "
+            f"images are resampled to {shown.width_px}x{shown.height_px} px with square pixels, as players show them; "
+            "focal length and boxes are in these pixels."
+        )
+    if aspect != 1.0 and abs(calibrated / aspect - 1.0) > _MAX_ASPECT_ERROR:
+        notes.append(
+            f"Focal length in doubt: in the calibration the pixels of the images of {size} are {calibrated:.3g} times "
+            f"as wide as high, by the video {aspect:.3g} times; the calibration is used. Check that it was measured "
+            "in images of this recorder and mode."
+        )
+    return tuple(notes)
 
 
 def _assumed_rig(camera: PinholeCamera) -> StereoRig:

@@ -30,11 +30,15 @@ _TIMESTAMPS_NAME = "timestamps.txt"
 _TIMESTAMP = re.compile(r"((?:19|20|21)\d\d-\d\d-\d\d)[ T](\d\d:\d\d:\d\d(?:\.\d{1,9})?)")
 
 
+class UnreadableImageError(VideoError):
+    """An image of a folder that cannot be decoded; it is skipped unless it is one of all."""
+
+
 class ImageFolder(RecordedVideo):
-    """Numbered images in one folder, in the order of their numbers.
+    """Numbered images in one folder, in the order of their numbers; those that cannot be read are skipped.
 
     `fps` is the argument, or the median rate of timestamps.txt, with which times are seconds since 1970. Raises
-    VideoError for no numbered images, two of one number, one that is no regular file, or a first one that is damaged.
+    VideoError for no numbered images, two of one number, one that is no regular file, or no readable one.
     """
 
     path: Path
@@ -57,11 +61,14 @@ class ImageFolder(RecordedVideo):
                 f"{path}: {counted(n_missing, 'number is', 'numbers are')} missing between "
                 f"{self._images[0][1].name} and {self._images[-1][1].name}; treated as dropped frames."
             )
-        self.first_time_s = self._times_s[0]
-        self._first_image: Image | None = _decoded(self._images[0][1])
-        self.height_px, self.width_px = self._first_image.shape[:2]
-        self.is_grey = is_neutral(self._first_image)
+        self._leading: list[VideoError] = []  # errors of unreadable images before the first readable one
+        number, self._first_path, image = self._first_readable()
+        self.first_time_s = self._times_s[number]
+        self._first_image: Image | None = image
+        self.height_px, self.width_px = image.shape[:2]
+        self.is_grey = is_neutral(image)
         self._n_backward = 0
+        self._unreadable = self._leading
 
     @property
     def utc(self) -> UtcStart | None:
@@ -73,10 +80,13 @@ class ImageFolder(RecordedVideo):
     @property
     def notes(self) -> tuple[str, ...]:
         """See `RecordedVideo`."""
-        if not self._n_backward:
-            return tuple(self._folder_notes)
-        skipped = f"{counted(self._n_backward, 'image')} with a repeated or backward timestamp skipped."
-        return (*self._folder_notes, f"{self.path}: {skipped}")
+        notes, n_unreadable = list(self._folder_notes), len(self._unreadable)
+        if n_unreadable:
+            notes.append(f"{self.path}: {counted(n_unreadable, 'unreadable image')} skipped: {self._unreadable[0]}")
+        if self._n_backward:
+            skipped = f"{counted(self._n_backward, 'image')} with a repeated or backward timestamp skipped."
+            notes.append(f"{self.path}: {skipped}")
+        return tuple(notes)
 
     def close(self) -> None:
         """See `RecordedVideo`."""
@@ -85,6 +95,7 @@ class ImageFolder(RecordedVideo):
     def frames(self, from_s: float, until_s: float) -> Generator[VideoFrame, None, None]:
         """See `RecordedVideo`."""
         self._n_backward, last_s, first_number = 0, None, self._images[0][0]
+        self._unreadable = list(self._leading)
         for (number, path), stamp_s in zip(self._images, self._times_s, strict=True):
             time_s = strictly_later(stamp_s, last_s, interval_s=1 / self.fps)
             if time_s is None:
@@ -92,7 +103,12 @@ class ImageFolder(RecordedVideo):
                 continue
             last_s = time_s
             if from_s - TIME_EPSILON_S <= time_s < until_s - TIME_EPSILON_S:
-                yield VideoFrame(number - first_number, time_s, self._image(path))
+                try:
+                    image = self._image(path)
+                except UnreadableImageError as error:
+                    self._unreadable.append(error)
+                    continue
+                yield VideoFrame(number - first_number, time_s, image)
 
     def check_unchanged(self) -> None:
         """See `RecordedVideo.check_unchanged`; an image that was still being written may have grown."""
@@ -104,9 +120,18 @@ class ImageFolder(RecordedVideo):
             if status.st_size < n_bytes or (status.st_size == n_bytes and status.st_mtime_ns != modified_ns):
                 raise VideoError(f"{path}: the image was overwritten while the folder was read; repeat the run.")
 
+    def _first_readable(self) -> tuple[int, Path, Image]:
+        """Number in the list, path and image of the first one that can be read; the first error if none can."""
+        for number, (_, path) in enumerate(self._images):
+            try:
+                return number, path, _decoded(path)
+            except UnreadableImageError as error:
+                self._leading.append(error)
+        raise self._leading[0]
+
     def _image(self, path: Path) -> Image:
-        first, self._first_image = self._first_image, None
-        if first is not None and path == self._images[0][1]:
+        if self._first_image is not None and path == self._first_path:
+            first, self._first_image = self._first_image, None
             return first
         if not path.exists():
             raise VideoError(f"{path}: the image was deleted or moved while the folder was read; repeat the run.")
@@ -143,7 +168,9 @@ def _numbered_images(folder: Path) -> list[tuple[int, Path]]:
 
 def _decoded(path: Path) -> Image:
     """The image of a file as (H, W, 3) uint8 BGR, upright by EXIF; 16-bit images are reduced to their upper 8 bits."""
-    image = read_image(path, VideoError, "an image of the folder", flags=cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+    image = read_image(
+        path, UnreadableImageError, "an image of the folder", flags=cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH
+    )
     if image.dtype not in (np.uint8, np.uint16):
         raise VideoError(f"{path}: expected 8- or 16-bit pixels, got {image.dtype}; convert the images.")
     return (image >> 8 if image.dtype == np.uint16 else image).astype(np.uint8, copy=False)

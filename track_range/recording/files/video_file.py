@@ -48,6 +48,8 @@ _FALLBACK_RATE_HZ = 25.0  # frame rate of a file that does not declare one
 _SHORTFALL_FRAMES = 2.5  # frames missing at the end of the header's duration from which a file counts as truncated
 _MIN_RATE_HZ, _MAX_RATE_HZ = 1e-4, 1e5  # range of frame rates; the rate of another header is ignored
 
+_MAX_PIXEL_ASPECT = 4.0  # largest plausible ratio of the sides of a pixel
+
 _FORMATS = (
     "apng,apv,asf,av1,avi,avs2,avs3,cavsvideo,cine,dhav,dirac,dnxhd,dv,evc,flic,flv,gif,gxf,h261,h263,h264,hevc,ivf,"
     "ivr,kux,lmlm4,m4v,matroska,mjpeg,mjpeg_2000,mov,mpeg,mpegts,mpegvideo,mpjpeg,mxf,nsv,nut,obu,ogg,rm,ser,ty,vc1,"
@@ -82,9 +84,6 @@ class VideoFile(RecordedVideo):
         self.fps = self._reading.fps
         self._file_notes: list[str] = [f"{path}: {note}" for note in self._reading.notes]
         self._has_grown = False
-        if stream.sample_aspect_ratio not in (None, 0, 1):
-            self._file_notes.append(f"{path}: pixels are not square; the images are used as stored.")
-
         self._first = next(iter(self._reading), None)
         if self._first is None:
             raise VideoError(
@@ -105,6 +104,12 @@ class VideoFile(RecordedVideo):
         self.is_upright_file = self._axes == UPRIGHT
         if not self.is_upright_file:
             self._file_notes.append(f"{path}: rotated upright according to its metadata.")
+        if stated := float(stream.sample_aspect_ratio or 0):
+            stated = 1 / stated if self._axes[1] else stated  # of the upright image
+            if 1 / _MAX_PIXEL_ASPECT <= stated <= _MAX_PIXEL_ASPECT:
+                self.pixel_aspect = stated
+            else:
+                self._file_notes.append(f"{path}: the stated pixel aspect of {stated:.3g} is ignored.")
         image = DecodedImage(frame, self._axes).to_bgr()
         self.height_px, self.width_px = image.shape[:2]
         self.is_grey = is_neutral(image)

@@ -101,6 +101,7 @@ class LiveVideo:
             raise VideoError(f"{address}: no frame received ({self.ended_by or 'timeout'}); check the camera.")
         image = bgr_image(self._waiting[-1][2])
         self.height_px, self.width_px = image.shape[:2]
+        self.pixel_aspect: float | None = None
         self.is_grey = is_neutral(image)
         self._utc_from_monotonic_s = time.time() - time.monotonic()
         self.first_time_s = self.waiting_s()[0][1]  # time of `time.monotonic` at which the reading started

@@ -74,6 +74,7 @@ class SegmentedVideo(RecordedVideo):
         self._current: VideoFile | None = self._first_file()
         first = self._current
         self.width_px, self.height_px = first.width_px, first.height_px
+        self.pixel_aspect = first.pixel_aspect
         self.is_grey, self.fps = first.is_grey, first.fps
         self.first_time_s = self._starts_s[0]
         counts = [self._headers[s.path].n_frames or round(s.duration_s * self.fps) for s in self._segments]
