@@ -19,6 +19,7 @@ WORKLOADS = {
     "box_errors": ("accuracy.warnings.box_errors", "errors of boxes and tracks on rendered drives and without images"),
     "compare": ("gate", "ratios of the figures of two recordings"),
     "detection": ("speed.stages", "time of each detector: preprocessing, inference, postprocessing"),
+    "doubt": ("accuracy.ranging.doubt", "what runs say about wrong inputs, and their errors"),
     "fleet": ("fleet.throughput", "throughput, overhead and memory of workers, and the cost of 1,000 hours"),
     "fleet_faults": ("fleet.faults", "killed workers, a corrupt clip and a killed driver"),
     "focal_length": ("accuracy.ranging.focal_length", "focal lengths of cameras without a calibration"),

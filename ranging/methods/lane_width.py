@@ -68,6 +68,12 @@ Structure Ordinance); China: 3.5 m, 3.75 m from 80 km/h (JTG B01-2014). Roads wi
 on KITTI 0005.
 """
 
+
+def usual_width(region: Region, width_m: float | None = None) -> LaneWidth:
+    """The width of a lane on any road of a region; or a given one."""
+    return LaneWidth(_WIDTHS_M[region][0], _ANY_SIGMA) if width_m is None else LaneWidth(width_m, _GIVEN_SIGMA)
+
+
 _ON_THE_ROAD = np.array([name not in ("traffic light", "traffic sign") for name in ROAD_CLASSES])
 """(road classes,) whether objects of the class are on the road."""
 
@@ -122,7 +128,7 @@ class LaneWidthRanger(Ranger):
         self._camera = camera
         self._box_sigma_px = box_sigma_px
         self._fast_m = None if width_m else _WIDTHS_M[region][1]
-        self._prior = LaneWidth(width_m, width_sigma) if width_m else LaneWidth(_WIDTHS_M[region][0], _ANY_SIGMA)
+        self._prior = LaneWidth(width_m, width_sigma) if width_m else usual_width(region)
         self.lane = self._prior  # the current estimate
         self._width_from = width_from
         self._height_m, self._has_visible_boxes = camera_height_m, has_visible_boxes

@@ -32,6 +32,8 @@ UNSEEN = (
     "alike (1 % of the baseline: 1 % of every distance). Check one known distance."
 )
 
+_PART = "without that of the baseline"  # what images can show
+
 State = Literal["good", "off", "unknown"]
 
 
@@ -143,12 +145,13 @@ class RigHealth:
         after = f"{self.after_pct(REFERENCE_M):.1f} %"
         if self.state == "unknown":
             reason = "" if self.measured.source == Alignment().source else f", {self.measured.source}"
-            return f"Rig: not measured{reason}; expected distance error at {distance}: {after} (1 sigma)."
+            return f"Rig: not measured{reason}; expected error at {distance}, {_PART}: {after} (1 sigma)."
         if self.state == "good":
-            return f"Rig: fits the images; expected distance error at {distance}: {after} (1 sigma)."
+            return f"Rig: fits the images; expected error at {distance}, {_PART}: {after} (1 sigma)."
         if not self.has_disparity_error:
             return (
-                f"Rig: left and right differ in rows; expected error at {distance} once corrected: {after} (1 sigma)."
+                f"Rig: left and right differ in rows; expected error at {distance} once corrected, {_PART}: {after} "
+                "(1 sigma)."
             )
         left_pct, middle_pct, right_pct = self.before_pct(REFERENCE_M).tolist()
         before = f"{middle_pct:+.1f} % in the middle, {left_pct:+.1f} and {right_pct:+.1f} % half-way to the edges"
@@ -156,7 +159,8 @@ class RigHealth:
             before = "more than 100 %"
         if self.applied.is_correcting:
             return (
-                f"Rig: distance error at {distance} as calibrated: {before}; after the correction: {after} (1 sigma)."
+                f"Rig: distance error at {distance} as calibrated: {before}; after the correction, {_PART}: {after} "
+                "(1 sigma)."
             )
         return f"Rig: distance error at {distance} as calibrated: {before}; not corrected."
 

@@ -19,16 +19,19 @@ from track_range.stereo.odometry.ego_motion import EgoMotion
 
 _MIN_MPS = 3.0  # speed below which the ratio of two speeds is not precise
 _CORRELATED_S = 1.0  # time over which errors of the speeds are correlated
-_SHARED_SIGMA = 0.02  # relative error that all frames share
+_SHARED_SIGMA = 0.02  # relative error of the motion of the road that all frames share
 _MIN_S = 1.0  # seconds of measurements before the first height
 _MAX_RATIOS = 600  # largest number of stored ratios: the last ones
 
 
 class CameraHeight:
-    """Estimator of the camera height from speeds that were measured with `assumed_m`; the state is the instance's."""
+    """Estimator of the camera height from speeds that were measured with `assumed_m`; the state is the instance's.
 
-    def __init__(self, assumed_m: float) -> None:
-        self._assumed_m = assumed_m
+    `shared_sigma` is the relative error that all frames share.
+    """
+
+    def __init__(self, assumed_m: float, *, shared_sigma: float = _SHARED_SIGMA) -> None:
+        self._assumed_m, self._shared_sigma = assumed_m, shared_sigma
         self._log_ratios: list[float] = []
         self._measured_s = 0.0
         self._last_s = math.nan
@@ -49,6 +52,6 @@ class CameraHeight:
         log_ratios = np.array(self._log_ratios)
         median = float(np.median(log_ratios))
         spread = MAD_TO_SIGMA * float(np.median(np.abs(log_ratios - median)))
-        sigma = math.hypot(1.25 * spread / math.sqrt(self._measured_s / _CORRELATED_S), _SHARED_SIGMA)
+        sigma = math.hypot(1.25 * spread / math.sqrt(self._measured_s / _CORRELATED_S), self._shared_sigma)
         height_m = self._assumed_m * math.exp(median)
         return height_m, sigma * height_m

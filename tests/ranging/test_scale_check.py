@@ -1,4 +1,4 @@
-"""Doubt about the scale of a rig, from drawn drives of road users with known sizes."""
+"""Doubt about what the program was told, from drawn drives of road users with known sizes."""
 
 import math
 
@@ -6,89 +6,181 @@ import numpy as np
 import pytest
 
 from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.lanes.lines import LaneLine, LaneLines
+from track_range.ranging.doubt.scale_check import ScaleCheck
+from track_range.ranging.doubt.scale_doubt import ScaleDoubt, causes_of
+from track_range.ranging.methods.lane_width import LaneWidth
 from track_range.ranging.ranges import Ranges
-from track_range.ranging.scale_check import ScaleCheck, ScaleDoubt
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.odometry.ego_motion import EgoMotion
 from track_range.stereo.odometry.road_horizon import RoadView
 from track_range.tracking.tracks import Tracks
 
 CAMERA = PinholeCamera(1000.0, 1000.0, 640.0, 360.0, 1280, 720)
 CAR = ROAD_CLASSES.index("car")
+ROAD_HEIGHT_M = 1.5  # with which the motion of the road is measured
 
 
-def checked(
-    factor, *, seed=0, n=4, sizes=1.0, true_height_m=1.5, seconds=5.0, has_road=True, speed_mps=math.nan, **given
+def check_of(
+    rig=1.0,
+    *,
+    seed=0,
+    n=4,
+    sizes=None,
+    true_height_m=1.5,
+    seconds=5.0,
+    has_road=True,
+    true_mps=math.nan,
+    speed=None,
+    focal=1.0,
+    lane_m=None,
+    **given,
 ):
-    """The finding after a drive with `n` cars, whose rig makes distances `factor` times too long."""
+    """The check after a drive with `n` cars, in which what was told is wrong by the factors `rig`, `speed`, `focal`.
+
+    All distances by size are `sizes` times as long as they should be; None = drawn.
+    """
     rng = np.random.default_rng(seed)
-    check = ScaleCheck(CAMERA, **given)
+    check = ScaleCheck(CAMERA, road_height_m=ROAD_HEIGHT_M, has_rig=rig is not None, **given)
     true_m, own = rng.uniform(10, 40, n), np.exp(rng.normal(0, 0.08, n))
+    common = math.exp(rng.normal(0, 0.05)) if sizes is None else sizes
     x_px = rng.uniform(300, 1000, n)
+    lanes = None
+    if lane_m is not None:
+        slopes = (-lane_m / 2 / true_height_m, lane_m / 2 / true_height_m)
+        lines = [LaneLine(np.array([640 - slope * 360, slope, 0.0]), np.eye(3), 400.0, 700.0) for slope in slopes]
+        lanes = LaneLines(*lines)
     for k in range(round(10 * seconds)):
         bottom = 360 + 1000 * (true_height_m / true_m + rng.normal(0, 0.002))
         boxes = np.stack([x_px - 600 / true_m, bottom - 1500 / true_m, x_px + 600 / true_m, bottom], axis=1)
         ids = np.arange(1, n + 1)
         tracks = Tracks(ids, boxes, np.full(n, CAR), np.ones(n), np.ones(n, np.bool_))
-        by_size = true_m * sizes * own * np.exp(rng.normal(0, 0.03, n))
-        stereo = true_m * factor * np.exp(rng.normal(0, 0.01, n))
+        # angles below the horizon do not change with the focal length here: the height by size is divided by it
+        by_size = true_m * common * own * np.exp(rng.normal(0, 0.03, n))
+        stereo = None
+        if rig is not None:
+            distance_m = true_m * rig * np.exp(rng.normal(0, 0.01, n))
+            stereo = Ranges(ids, distance_m, 0.02 * distance_m)
+        has_speed = math.isfinite(true_mps)
+        by_pair = EgoMotion(true_mps * rig * focal, 0.2) if rig is not None and has_speed else None
+        by_road = EgoMotion(true_mps * focal * ROAD_HEIGHT_M / true_height_m * math.exp(rng.normal(0, 0.02)), 0.2)
         check.update(
             tracks,
             Ranges(ids, by_size, 0.1 * by_size),
-            Ranges(ids, stereo, 0.02 * stereo),
+            stereo,
             time_s=0.1 * k,
             road=RoadView(horizon=0.0, horizon_variance=1e-6) if has_road else None,
-            speed_mps=speed_mps * factor,
-            is_speed_by_stereo=True,
+            lanes=lanes,
+            by_pair=by_pair,
+            by_road=by_road if has_speed and has_road else None,
+            given=None if speed is None else EgoMotion(true_mps * speed, 0.2),
         )
-    return check.doubt
+    return check
 
 
-@pytest.mark.parametrize("factor", [0.1, 0.39, 0.5, 2.0, 2.54, 10.0])
-def test_wrong_scales_are_found(factor):
+def causes(doubt):
+    return [cause for cause, _ in doubt.causes]
+
+
+@pytest.mark.parametrize("factor", [0.1, 0.39, 0.5, 0.6, 1.7, 2.0, 2.54, 10.0])
+def test_wrong_baselines_are_found(factor):
     for seed in range(5):
-        doubt = checked(factor, seed=seed)
+        doubt = check_of(factor, seed=seed).doubt
         assert doubt is not None
+        assert causes(doubt) == ["baseline"]
         assert abs(math.log(doubt.factor / factor)) < 3 * doubt.sigma
         assert doubt.sigma < 0.15
 
 
 @pytest.mark.parametrize("sizes", [0.9, 1.0, 1.12])
 def test_right_scales_are_not_doubted(sizes):
-    """Cars of other countries, and a camera in a lorry or in a low car."""
-    for seed in range(10):
-        assert checked(1.0, seed=seed, sizes=sizes) is None
-    for height_m in (1.1, 2.6):
-        assert checked(1.0, sizes=sizes, true_height_m=height_m) is None
+    """Cars of other countries, and a camera in a lorry, in a low car or on a robot."""
+    for height_m in (0.4, 1.1, 1.5, 2.6):
+        for seed in range(3):
+            assert check_of(1.0, seed=seed, sizes=sizes, true_height_m=height_m, true_mps=12.0).doubt is None
+            assert check_of(None, seed=seed, sizes=sizes, true_height_m=height_m, true_mps=12.0, speed=1).doubt is None
 
 
-def test_a_given_height_finds_smaller_errors():
-    known = {"region": "europe", "factor": 1.5}
-    without = [checked(seed=seed, **known) is not None for seed in range(10)]
-    given = [checked(seed=seed, height_m=1.5, **known) is not None for seed in range(10)]
-    assert sum(given) > 7
-    assert sum(without) < 5
+def test_few_of_many_right_rigs_are_doubted():
+    doubts = [check_of(1.0, seed=seed, n=6, seconds=2.0, true_mps=12.0).doubt for seed in range(100)]
+    assert sum(doubt is not None for doubt in doubts) <= 1
+
+
+@pytest.mark.parametrize("factor", [0.83, 1.2])
+def test_a_given_height_and_a_given_speed_find_small_errors(factor):
+    for seed in range(5):
+        without = check_of(factor, seed=seed, sizes=1.0, true_mps=12.0)
+        by_height = check_of(factor, seed=seed, true_mps=12.0, height_m=1.5)
+        by_speed = check_of(factor, seed=seed, true_mps=12.0, speed=1.0)
+        assert without.doubt is None
+        assert without.agreement.sigma > 0.07
+        for check in (by_height, by_speed):
+            assert check.agreement.sigma < 0.06
+            assert "baseline" in causes(check.doubt)
+            assert dict(check.doubt.causes)["baseline"] == pytest.approx(factor, rel=0.12)
+
+
+@pytest.mark.parametrize(("factor", "text"), [(3.6, "km/h read as m/s"), (1 / 1.609, "miles per hour read as km/h")])
+def test_speeds_in_another_unit_are_told_from_wrong_rigs(factor, text):
+    for rig in (1.0, None):
+        doubt = check_of(rig, true_mps=12.0, speed=factor).doubt
+        assert causes(doubt)[0] == "speed"
+        assert rig is None or causes(doubt) == ["speed"]
+        assert doubt.factor == pytest.approx(factor, rel=0.15)
+        assert text in doubt.sentence(None)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_matrices_of_another_image_size_are_found_by_a_given_speed(factor):
+    """The speed over the motion of the road gives a height that road users do not confirm."""
+    doubt = check_of(None, true_mps=12.0, speed=1.0, focal=factor).doubt
+    assert "focal length" in causes(doubt)
+    assert dict(doubt.causes)["focal length"] == pytest.approx(factor, rel=0.25)
+
+
+def test_a_wrong_height_is_not_a_wrong_rig():
+    doubt = check_of(1.0, n=6, true_mps=12.0, speed=1.0, true_height_m=1.5, height_m=2.2).doubt
+    assert causes(doubt) == ["camera height"]
+    assert doubt.factor == pytest.approx(2.2 / 1.5, rel=0.08)
 
 
 def test_speeds_of_no_car():
     """160 m/s: even without a second road user's size, no rig can be right."""
-    assert checked(1.0, n=2, speed_mps=160.0, has_road=False).factor > 2.0
-    assert checked(1.0, n=2, speed_mps=40.0, has_road=False) is None
+    doubt = check_of(1.0, n=1, true_mps=160.0, has_road=False).doubt
+    assert doubt.factor > 2.0
+    assert "baseline" in causes(doubt)
+    assert check_of(1.0, n=2, true_mps=40.0, has_road=False).doubt is None
 
 
-def test_one_object_is_not_enough():
-    assert checked(2.54, n=1) is None
+def test_without_evidence_the_baseline_cannot_be_checked():
+    check = check_of(2.54, n=1, has_road=False)
+    assert check.doubt is None
+    assert "cannot be checked" in check.agreement.sentence
+    assert "within" in check_of(1.0, n=4).agreement.sentence
+
+
+def test_lane_lines_measure_the_height_of_the_camera():
+    """A lane of 3.5 m; lines of two lanes together do not make a right rig wrong."""
+    known = {"true_height_m": 2.2, "true_mps": 12.0, "lane": LaneWidth(3.5, 0.1)}
+    without = check_of(1.0, **known).agreement.sigma
+    assert check_of(1.0, lane_m=3.5, **known).agreement.sigma < 0.95 * without
+    for seed in range(5):
+        assert check_of(1.0, lane_m=7.0, seed=seed, **known).doubt is None
 
 
 def test_a_sentence_names_the_causes_that_fit():
-    sentence = ScaleDoubt(2.5, 0.06, 4).sentence(0.5)
-    for part in ("2.50 times", "± 6 %", "0.5 m would be 0.2 m", "read as inches", "2.5 times as large"):
+    sentence = ScaleDoubt(2.5, 0.06, 4, (("baseline", 2.5), ("speed", 1.61)), "sizes").sentence(0.5)
+    for part in ("2.50 times", "± 6 %", "0.2 m instead of 0.5 m", "read as inches", "2.5 times as large"):
         assert part in sentence
+    assert "km/h read as miles per hour" in sentence
     assert "feet" not in sentence
-    assert "read as" not in ScaleDoubt(0.5, 0.06, 4).sentence(0.2)
+    assert "read as" not in ScaleDoubt(0.5, 0.06, 4, (("baseline", 0.5),), "sizes").sentence(0.2)
 
 
 @pytest.mark.parametrize("factor", [0.4, 2.5])
 def test_sigma_covers_both_scales(factor):
     distance_m = 20.0
-    sigma_m = ScaleDoubt(factor, 0.1, 3).shared_sigma * distance_m
+    doubt = ScaleDoubt(factor, 0.1, 3, (("baseline", factor),), "sizes")
+    sigma_m = doubt.sigma_of(causes_of(["baseline", "own"])) * distance_m
     assert 1.0 < sigma_m / abs(distance_m - distance_m / factor) < 1.2
+    assert doubt.sigma_of(causes_of(["size"])) == 0.0

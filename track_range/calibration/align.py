@@ -35,6 +35,18 @@ _N_ROW_PAIRS = 12  # number of image pairs on which the row offset is measured; 
 
 
 @dataclass(frozen=True, slots=True)
+class BaselineCheck:
+    """What road users and the speed of the camera show about the baseline."""
+
+    sentence: str  # for the user
+    figures: dict[str, Any]  # as in summary.json of a run
+
+
+CheckBaseline = Callable[[tuple[Path, Path], AlignmentSettings | RigCheckSettings], BaselineCheck]
+"""Checks the baseline in a drive, of which the left and the right video are given."""
+
+
+@dataclass(frozen=True, slots=True)
 class RigAlignment:
     """The disparity error of a rig."""
 
@@ -42,6 +54,7 @@ class RigAlignment:
     measured: Alignment  # the alignment as estimated
     health: RigHealth  # what it means for distances
     notes: tuple[str, ...]  # messages for the user
+    baseline: BaselineCheck | None = None  # what road users and the speed show; None = not checked
 
     @classmethod
     def of(
@@ -69,13 +82,15 @@ class RigAlignment:
             "sentence": self.applied.sentence(),
             "health": self.health.to_dict(),
             "notes": list(self.notes),
+            "baseline": None if self.baseline is None else self.baseline.figures,
         }
 
     @property
     def sentences(self) -> list[str]:
         """The alignment, its meaning for distances, and the notes, for the user."""
+        baseline = UNSEEN if self.baseline is None else self.baseline.sentence
         alignment = self.applied.sentence(correction=_CORRECTION)
-        sentences = (alignment, self.health.sentence(), self.health.move_sentence(), UNSEEN, *self.notes)
+        sentences = (alignment, self.health.sentence(), self.health.move_sentence(), baseline, *self.notes)
         return [sentence for sentence in sentences if sentence]
 
     def save(self, settings: AlignmentSettings) -> None:
@@ -88,7 +103,9 @@ class RigAlignment:
             write_text(settings.json_file, json.dumps(self.figures, indent=2, allow_nan=False) + "\n")
 
 
-def align(settings: AlignmentSettings, progress: StepProgress = no_progress) -> RigAlignment:
+def align(
+    settings: AlignmentSettings, progress: StepProgress = no_progress, check_baseline: CheckBaseline | None = None
+) -> RigAlignment:
     """Estimate the disparity error of a rig; nothing is written before `RigAlignment.save`.
 
     Raises UsageError without a source, or with drives and a reference, RigError if the rig cannot be used, or there is
@@ -97,19 +114,23 @@ def align(settings: AlignmentSettings, progress: StepProgress = no_progress) -> 
     """
     check_outputs([file for file in (settings.out, settings.json_file) if file is not None], _inputs(settings))
     if settings.reference is None:
-        return _from_drives(settings, progress)
+        return _from_drives(settings, progress, check_baseline)
+    if settings.checks_baseline:
+        raise UsageError("--detector, --detections and --ego-speed check a drive; omit them with --reference.")
     if settings.drives:
         raise UsageError("--reference and --drive exclude each other; give one of them.")
     return _from_reference(settings.reference, settings, progress)
 
 
-def check_rig_health(settings: RigCheckSettings, progress: StepProgress = no_progress) -> RigAlignment:
+def check_rig_health(
+    settings: RigCheckSettings, progress: StepProgress = no_progress, check_baseline: CheckBaseline | None = None
+) -> RigAlignment:
     """Measure the present state of a rig on drives; nothing is written except `settings.json_file`.
 
     Raises UsageError without a drive, and RigError, VideoError and OutputError as in `align`.
     """
     check_outputs([] if settings.json_file is None else [settings.json_file], _inputs(settings))
-    checked = _from_drives(settings, progress)
+    checked = _from_drives(settings, progress, check_baseline)
     if settings.json_file is not None:
         write_text(settings.json_file, json.dumps(checked.figures, indent=2, allow_nan=False) + "\n")
     return checked
@@ -123,7 +144,9 @@ def _inputs(settings: AlignmentSettings | RigCheckSettings) -> list[Path]:
     return [*videos, *(path for path in named if path is not None)]
 
 
-def _from_drives(settings: AlignmentSettings | RigCheckSettings, progress: StepProgress) -> RigAlignment:
+def _from_drives(
+    settings: AlignmentSettings | RigCheckSettings, progress: StepProgress, check_baseline: CheckBaseline | None
+) -> RigAlignment:
     sources = [(folder / LEFT, folder / RIGHT) for folder in settings.drives]
     sources += [settings.stereo] if settings.stereo else []
     if not sources:
@@ -156,7 +179,10 @@ def _from_drives(settings: AlignmentSettings | RigCheckSettings, progress: StepP
     names = ", ".join(real_path(left.parent).name if left.name == LEFT else left.name for left, _ in sources)
     named = replace(measured, source=measured.source.replace("this drive", names))
     notes = dict.fromkeys(note for recording in recordings for note in recording.calibration.file_notes)
-    return RigAlignment.of(rigs[0], named, notes, estimator.windows())
+    aligned = RigAlignment.of(rigs[0], named, notes, estimator.windows())
+    if check_baseline is None or not settings.checks_baseline:
+        return aligned
+    return replace(aligned, baseline=check_baseline(sources[0], settings))
 
 
 def _from_reference(reference: Path, settings: AlignmentSettings, progress: StepProgress) -> RigAlignment:

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 from track_range.foundation.options import Options, option
 
 _ROAD = "Without a board"  # heading of the options of the calibration from a drive
+_BASELINE = "Check of the baseline"
 _KNOWN_BOX: dict[str, Any] = {"metavar": "BOX=M", "panel": _ROAD, "is_repeated": True}
 OFF, LEAVE_TWO_OUT = "off", "leave-two-out"  # values of --align that name no file
 
@@ -30,6 +31,32 @@ _Drives = Annotated[
 ]
 
 _Rig = Annotated[Path | None, option("Calibration file (default: the one in the folder of the images).")]
+
+
+class BaselineOptions(Options):
+    """Evidence of the baseline, which the images of a rig alone do not show."""
+
+    detector: Annotated[
+        str | None,
+        option("Detector of road users, whose sizes check the baseline: a name or an ONNX file.", panel=_BASELINE),
+    ] = None
+    detections: Annotated[
+        Path | None,
+        option("File with boxes of road users, instead of a detector.", panel=_BASELINE, metavar="FILE"),
+    ] = None
+    ego_speed: Annotated[
+        str | None,
+        option(
+            "Speed of the camera, which checks the baseline: a constant in km/h, a file, or KITTI's oxts folder.",
+            panel=_BASELINE,
+            metavar="KMH|FILE|DIR",
+        ),
+    ] = None
+
+    @property
+    def checks_baseline(self) -> bool:
+        """Whether there is evidence of the baseline."""
+        return any(value is not None for value in (self.detector, self.detections, self.ego_speed))
 
 
 class CalibrationSettings(Options):
@@ -129,7 +156,7 @@ class CalibrationSettings(Options):
         return self.board is None and self.stereo is None
 
 
-class AlignmentSettings(Options):
+class AlignmentSettings(BaselineOptions):
     """Drives or references, and output files, of `track-range align`."""
 
     stereo: _Stereo = None
@@ -148,7 +175,7 @@ class AlignmentSettings(Options):
     json_file: Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")] = None
 
 
-class RigCheckSettings(Options):
+class RigCheckSettings(BaselineOptions):
     """Drives of `track-range rig check`."""
 
     stereo: _Stereo = None

@@ -10,9 +10,10 @@ import numpy as np
 from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.stages import Detected, DetectionStage, EgoStage, FusionStage, RangingStage
 from track_range.pipeline.throughput import StageClock
+from track_range.ranging.doubt.scale_check import ScaleCheck
+from track_range.ranging.doubt.scale_doubt import Cause, ScaleDoubt, causes_of
 from track_range.ranging.filtering.lateral_motion import passing_offsets
 from track_range.ranging.registry import methods
-from track_range.ranging.scale_check import ScaleCheck, ScaleDoubt
 from track_range.ranging.size_models.drive_scale import DriveScale
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -34,17 +35,20 @@ class FramePipeline:
     # collision warning; None = neither warnings nor times to collision, since the vehicle does not drive along the
     # camera's axis
     warning: CollisionWarning | None = field(default_factory=CollisionWarning)
-    scale_check: ScaleCheck | None = None  # of the rig; None = no calibrated pair
+    scale_check: ScaleCheck | None = None  # of what was given; None = off
     shared_sigma: float = 0.0  # relative error shared by all methods, from an uncalibrated focal length
     notes: tuple[str, ...] = ()  # messages for the user about the parts of the pipeline
     clock: StageClock = field(default_factory=StageClock)  # time spent in each stage
     _fusion: FusionStage = field(init=False)
-    _by_rig: frozenset[str] = field(init=False)  # names of the distances with the scale of the rig
+    _causes: dict[str, frozenset[Cause]] = field(init=False)  # what scales the distances of each method
 
     def __post_init__(self) -> None:
         self._fusion = FusionStage(self.camera)
-        has_baseline = [m.name for m in methods() if any(source.name == "baseline" for source in m.error_sources)]
-        self._by_rig = frozenset((*has_baseline, "fused"))
+        self._causes = {
+            method.name: causes_of([source.name for source in method.error_sources]) for method in methods()
+        }
+        has_rig = self.scale_check is not None and self.scale_check.has_rig
+        self._causes["fused"] = causes_of(["baseline"] if has_rig else ["horizon"])
 
     def detected(self, frame: Frame) -> Detected:
         """The frame with its boxes and lane lines, in the calling thread."""
@@ -65,28 +69,39 @@ class FramePipeline:
         ranges, evidence = self.ranging.measure(tracks, frame, lanes, ego, self.scale, clock)
         with clock.stage("fuse"):
             by_size = next((item.by_size for item in evidence if item.by_size is not None), None)
-            if self.scale_check is not None and by_size is not None and "stereo" in ranges:
+            if self.scale_check is not None and by_size is not None:
                 self.scale_check.update(
                     tracks,
                     by_size,
-                    ranges["stereo"],
+                    ranges.get("stereo"),
                     time_s=frame.time_s,
                     road=ego.road,
-                    speed_mps=ego.motion.speed_mps,
-                    is_speed_by_stereo=self.ego.odometry is not None and known_ego is None,
+                    lanes=lanes,
+                    by_pair=ego.by_pair,
+                    by_road=None if self.ego.road_motion is None else self.ego.road_motion.ego,
+                    given=ego.given,
                 )
             doubt = self.scale_doubt
+            self.ego.trusts_speed = doubt is None or "speed" not in dict(doubt.causes)
             self.scale = DriveScale() if doubt else self.scale.after(evidence, frame.time_s)
             motion, lateral = self._fusion.update(frame, tracks, ranges, ego.motion)
             ego_mps, yaw_rad_s = ego.motion.speed_mps, ego.motion.yaw_rad_s
-            rate_sigma_mps = motion.rate_sigma_mps
-            shared_sigma = math.hypot(self.shared_sigma, 0.0 if doubt is None else doubt.shared_sigma)
-            if shared_sigma:  # neither fusion nor filtering reduces it; times to collision do not contain it
-                rate_sigma_mps = np.hypot(rate_sigma_mps, shared_sigma * motion.rate_mps)
-                for name, measured in ranges.items():
-                    own = shared_sigma if name.removesuffix("_kf") in self._by_rig else self.shared_sigma
-                    sigma_m = np.hypot(measured.sigma_m, own * measured.distance_m)
+            # neither fusion nor filtering reduces what methods have in common; times to collision do not contain it
+            for name, measured in ranges.items():
+                method = name.removesuffix("_kf")
+                shared = math.hypot(self.shared_sigma, 0.0 if doubt is None else doubt.sigma_of(self._causes[method]))
+                if shared:
+                    sigma_m = np.hypot(measured.sigma_m, shared * measured.distance_m)
                     ranges[name] = replace(measured, sigma_m=sigma_m)
+                if method == "fused":
+                    rate_sigma_mps = np.hypot(motion.rate_sigma_mps, shared * motion.rate_mps)
+            warnings = None
+            if self.warning is not None:
+                warnings = self.warning.update(
+                    tracks, motion, lateral, frame.time_s, ego_mps=ego_mps, yaw_rad_s=yaw_rad_s
+                )
+                if doubt is not None:
+                    warnings = replace(warnings, active=np.zeros_like(warnings.active))
             centre_px = (tracks.xyxy_px[:, :2] + tracks.xyxy_px[:, 2:]) / 2
             return FrameResult(
                 frame=frame,
@@ -100,9 +115,7 @@ class FramePipeline:
                 disparity=self.ranging.disparity,
                 lanes=lanes,
                 misses=passing_offsets(lateral, motion.ttc_s),
-                warnings=None
-                if self.warning is None or doubt is not None
-                else self.warning.update(tracks, motion, lateral, frame.time_s, ego_mps=ego_mps, yaw_rad_s=yaw_rad_s),
+                warnings=warnings,
                 candidates=candidates,
                 ego_mps=ego_mps,
                 ego_sigma_mps=ego.motion.speed_sigma_mps,
@@ -111,7 +124,7 @@ class FramePipeline:
 
     @property
     def scale_doubt(self) -> ScaleDoubt | None:
-        """The contradiction between the scale of the rig and the drive so far; None = none was found."""
+        """The contradiction between what was given and the drive so far; None = none was found."""
         return None if self.scale_check is None else self.scale_check.doubt
 
     def close(self) -> None:

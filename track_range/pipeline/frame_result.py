@@ -13,9 +13,9 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import FloatArray, Image
+from track_range.ranging.doubt.scale_doubt import ScaleDoubt
 from track_range.ranging.filtering.lateral_motion import PassingOffsets
 from track_range.ranging.ranges import Ranges
-from track_range.ranging.scale_check import ScaleDoubt
 from track_range.ranging.warning.warnings import Warnings
 from track_range.stereo.geometry.frames import Frame, ImageView
 from track_range.tracking.tracks import Tracks

@@ -104,6 +104,8 @@ class Ego(NamedTuple):
     motion: EgoMotion  # speed and yaw rate, NaN = unknown
     road: RoadView | None = None  # the road in the frame, lengths in metres; None = unknown
     step: CameraStep | None = None  # motion of the camera since the previous frame; None = unknown
+    by_pair: EgoMotion | None = None  # motion by stereo odometry, which may not be `motion`; None = it did not run
+    given: EgoMotion | None = None  # motion that was given; None = none was
 
 
 @dataclass(slots=True, kw_only=True)
@@ -111,10 +113,11 @@ class EgoStage:
     """Measures `Ego` frame by frame."""
 
     speed: EgoSpeed | None = None  # speed of the camera from telemetry or a setting; None = unknown
-    odometry: Odometry | None = None  # measures the motion of the camera, where `speed` is None; None = off
+    odometry: Odometry | None = None  # measures the motion of the camera, used where no speed is given; None = off
     road_motion: GroundOdometry | None = None  # horizon of the road and yaw rate of the camera; None = off
     camera_height: CameraHeight | None = None  # from a known speed; None = it is known, or no speed is
     image_motion: ImageMotionEstimator | None = None  # yaw rate without `road_motion`; None = off
+    trusts_speed: bool = True  # whether a given speed is used
 
     def update(self, frame: Frame, xyxy_px: FloatArray, clock: StageClock, known: EgoMotion | None = None) -> Ego:
         """The motion to the next frame; frames must be passed in order.
@@ -125,37 +128,37 @@ class EgoStage:
             clock: takes the time of what is measured from the images.
             known: speed of the camera that is known for this frame only; None = as the stage measures it.
         """
+        if known is None and self.speed is not None:
+            known = EgoMotion(self.speed.at(frame.time_s), self.speed.sigma_at(frame.time_s))
         uses_images = not (self.road_motion is None and self.odometry is None and self.image_motion is None)
+        measured: EgoMotion | None = None
         with clock.stage("motion") if uses_images else nullcontext():
             if self.road_motion is not None:
                 self.road_motion.update(frame, xyxy_px)
-            motion = self._motion(frame, xyxy_px, known)
+            if self.odometry is not None:
+                measured = self.odometry.update(frame, xyxy_px)
+            yaw_rad_s = math.nan if measured is not None else self._yaw_rad_s(frame, xyxy_px)
+        by_pair = None if self.odometry is self.road_motion else measured
+        motion = measured or EgoMotion(yaw_rad_s=yaw_rad_s)
+        if known is not None and self.trusts_speed:
+            motion = replace(known, yaw_rad_s=motion.yaw_rad_s, is_still=motion.is_still)
         road = self.road_motion
         if road is None or not road.has_horizon:
-            return Ego(motion)
+            return Ego(motion, by_pair=by_pair, given=known)
         view = road.view
-        if self.camera_height is not None:
+        if self.camera_height is not None and (known is None or self.trusts_speed):
             self.camera_height.update(frame.time_s, motion, road.ego)
             if (height_m := self.camera_height.height_m) is not None:
                 view = replace(view.scaled(height_m[0] / road.height_m), height_m=height_m)
-        return Ego(motion, view, road.step(motion))
+        return Ego(motion, view, road.step(motion), by_pair, known)
 
-    def _motion(self, frame: Frame, xyxy_px: FloatArray, known: EgoMotion | None) -> EgoMotion:
-        """Speed and yaw rate of the camera, NaN = unknown."""
-        if self.odometry is not None:
-            measured = self.odometry.update(frame, xyxy_px)
-            if known is None:
-                return measured
-            return replace(known, yaw_rad_s=measured.yaw_rad_s, is_still=measured.is_still)
-        motion = known or EgoMotion()
-        if known is None and self.speed is not None:
-            motion = EgoMotion(self.speed.at(frame.time_s), self.speed.sigma_at(frame.time_s))
+    def _yaw_rad_s(self, frame: Frame, xyxy_px: FloatArray) -> float:
+        """Yaw rate of the camera, NaN = unknown."""
         if self.road_motion is not None:
-            return replace(motion, yaw_rad_s=self.road_motion.motion.yaw_rad_s)
+            return self.road_motion.motion.yaw_rad_s
         if self.image_motion is not None:
-            yaw_rad_s = self.image_motion.update(frame.left, frame.time_s, xyxy_px).yaw_rad_s
-            return replace(motion, yaw_rad_s=yaw_rad_s)
-        return motion
+            return self.image_motion.update(frame.left, frame.time_s, xyxy_px).yaw_rad_s
+        return math.nan
 
 
 @dataclass(slots=True)

@@ -10,12 +10,13 @@ from track_range.foundation.progress import StepProgress, no_progress
 from track_range.foundation.sparse_flow import BackgroundFlow
 from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.pipeline.stages import DetectionStage, EgoStage, RangingStage
+from track_range.ranging.doubt.scale_check import ScaleCheck
 from track_range.ranging.ego_speed import EgoSpeed
 from track_range.ranging.method import MethodContext
 from track_range.ranging.methods.ground_plane import GroundSettings
+from track_range.ranging.methods.lane_width import usual_width
 from track_range.ranging.region import Region
 from track_range.ranging.registry import create_rangers, method_notes
-from track_range.ranging.scale_check import ScaleCheck
 from track_range.ranging.size_models.size_model import SizeModel
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.recording.cameras.calibration import RecordingCalibration
@@ -101,18 +102,24 @@ def open_pipeline(
     flow = BackgroundFlow()
     road_motion = GroundOdometry(calibration.camera, context.camera_height_m or GroundSettings().height_m, flow=flow)
     odometry: Odometry | None = None  # of a calibrated pair, or of a camera at a known height: else no scale is known
-    if measures_speed and ego_speed is None and is_ahead:
-        if context.rig is not None:
-            odometry = StereoOdometry(context.rig, context.alignment, flow=flow)
-        elif context.camera_height_m is not None:
-            odometry = road_motion
+    if context.rig is not None and (measures_speed or ego_speed is not None) and is_ahead:
+        odometry = StereoOdometry(context.rig, context.alignment, flow=flow)  # also checks a given speed
+    elif measures_speed and ego_speed is None and context.camera_height_m is not None and is_ahead:
+        odometry = road_motion
     tracker_options = replace(open_tracker_options(settings.reid, runtime), flow=flow)
     appearance_notes = () if tracker_options.reid is None else tracker_options.reid.notes
-    check = None
-    if context.rig is not None:
-        check = ScaleCheck(context.camera, region=region, height_m=context.camera_height_m)
+    check = ScaleCheck(
+        context.camera,
+        has_rig=context.rig is not None,
+        region=region,
+        height_m=context.camera_height_m,
+        focal_sigma=context.focal_sigma,
+        lane=usual_width(region, settings.lane_width_m),
+        sizes=size_model,
+        road_height_m=road_motion.height_m,
+    )
     return FramePipeline(
-        scale_check=check,
+        scale_check=check if is_ahead else None,
         camera=calibration.camera,
         detection=DetectionStage(
             detect=boxes.detect,

@@ -219,7 +219,8 @@ class RunSession:
         """Messages for the user so far; more may follow during the run."""
         settings, pipeline, n_frames = self.settings, self.pipeline, len(self.rows)
         doubt, rig = pipeline.scale_doubt, self.recording.rig
-        finder, ego, odometry = pipeline.detection.lane_finder, pipeline.ego.speed, pipeline.ego.odometry
+        finder, ego = pipeline.detection.lane_finder, pipeline.ego.speed
+        odometry = pipeline.ego.odometry if ego is None else None
         lanes = () if finder is None else finder.notes
         speed = ego.note(self.rows.last_s) if ego is not None and n_frames else None
         boxes = self.box_source.notes()
@@ -235,7 +236,8 @@ class RunSession:
             *([f"Stopped early, after {n_frames} frames."] if self.stopped_by else []),
             *self.frame_notes,
             *(pipeline.ranging.notes() if n_frames else ()),
-            *([doubt.sentence(rig.baseline_m)] if doubt is not None and rig is not None else []),
+            *([] if doubt is None else [doubt.sentence(rig.baseline_m if rig is not None else None)]),
+            *(check.agreement.sentence for check in [pipeline.scale_check] if check and check.has_rig and not doubt),
             # networks that fall back from the same device have the same note
             *(note for note in pipeline.notes if note not in (*boxes, *lanes)),
             *lanes,
@@ -285,7 +287,7 @@ class RunSession:
     def finish(self, videos: Mapping[str, str]) -> tuple[dict[str, Any], Columns]:
         """Content of summary.json, and the rows with the ground truth; `videos`: file names by video ("overlay")."""
         rows, recording, pipeline = self.rows, self.recording, self.pipeline
-        calibration, odometry = recording.calibration, pipeline.ego.odometry
+        calibration, odometry = recording.calibration, pipeline.ego.odometry if pipeline.ego.speed is None else None
         rows.finish()
         columns, n_frames = rows.table.to_columns(), len(rows)
         matched = None if self.truth is None else matched_truth(columns, self.truth)
@@ -308,7 +310,7 @@ class RunSession:
             "focal_sigma": round(calibration.focal_sigma, 4),
             "region": self.region,
             "baseline_m": recording.rig.baseline_m if recording.rig else None,
-            **({"scale_doubt": pipeline.scale_doubt._asdict()} if pipeline.scale_doubt is not None else {}),
+            **({} if pipeline.scale_check is None else pipeline.scale_check.summary()),
             **({"alignment": calibration.alignment.summary()} if calibration.alignment else {}),
             **({"drive_bias": pipeline.scale.summary()} if pipeline.scale.n_tracks else {}),
             **pipeline.ranging.summary(),

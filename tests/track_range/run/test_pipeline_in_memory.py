@@ -230,12 +230,23 @@ def test_numbers_of_numpy_and_names_of_arguments(drive: Drive) -> None:
 
 def test_speed_of_each_step(drive: Drive) -> None:
     with tr.Pipeline.stereo(drive.rig, align="off", **OPTIONS) as pipeline:
-        results = list(stepped(pipeline, drive, ego_speed_mps=13.0))
-    assert [result.ego_mps for result in results] == [13.0] * len(results)
+        results = list(stepped(pipeline, drive, ego_speed_mps=10.25))
+    assert [result.ego_mps for result in results] == [10.25] * len(results)
     with tr.Pipeline.stereo(drive.rig, align="off", **OPTIONS) as pipeline:
         measured = [result.ego_mps for result in stepped(pipeline, drive)]
     assert np.isfinite(measured[2:]).all()
-    assert 13.0 not in measured
+    assert 10.25 not in measured
+
+
+def test_a_speed_in_another_unit_is_doubted_and_not_used(drive: Drive) -> None:
+    """36 km/h are 10 m/s, given as 36 m/s: the images show 10."""
+    with tr.Pipeline.stereo(drive.rig, align="off", **OPTIONS) as pipeline:
+        results = list(stepped(pipeline, drive, ego_speed_mps=36.0))
+    doubt = results[-1].scale_doubt
+    assert doubt is not None
+    assert doubt.causes[0][0] == "speed"
+    assert doubt.factor == pytest.approx(3.6, rel=0.1)
+    assert results[-1].ego_mps == pytest.approx(10.0, rel=0.1)
 
 
 def test_a_rig_in_memory_is_written_beside_the_results(drive: Drive, tmp_path: Path) -> None:

@@ -41,12 +41,14 @@ class Event:
     probability: float  # largest probability of contact, 0..1
     reason: str  # what happened in one sentence
     headway_s: float  # smallest headway, distance / ego speed
+    scale_in_doubt: int = 0  # 1 = what the distances follow from contradicted the drive at the peak; 0 = not
 
 
 EVENT_COLUMNS = (
     *("kind", "start_s", "peak_s", "end_s", "warning_s", "frame", "track_id", "class"),
     *("min_distance_m", "min_distance_sigma_m", "min_ttc_s", "closing_mps", "ego_mps", "probability", "reason"),
     "headway_s",
+    "scale_in_doubt",
 )
 """Columns of events.csv, in order; `class` is `Event.class_name`, the others have the names of its attributes."""
 

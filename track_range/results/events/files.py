@@ -69,6 +69,7 @@ _NUMBERS: Mapping[str, _Number] = {
     "ego_mps": _SPEED,
     "probability": _Number("", 0.0, 1.0, decimals=4),
     "headway_s": _TIME,
+    "scale_in_doubt": _Number("", 0, 1, is_integer=True),
 }
 """Columns of numbers; all others are texts."""
 

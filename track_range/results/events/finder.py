@@ -251,7 +251,8 @@ class EventFinder:
             criticality = -1e3 - float(np.nan_to_num(values["gap_m"]))
         if not event.peak or criticality > event.criticality:
             event.criticality, event.peak_track_id, event.peak_class = criticality, track_id, class_id
-            event.peak = {**values, "time_s": time_s, "frame": result.index}
+            in_doubt = float(result.scale_doubt is not None)
+            event.peak = {**values, "time_s": time_s, "frame": result.index, "scale_in_doubt": in_doubt}
 
     def _same(
         self, kind: EventKind, track_id: int, result: FrameResult, distance_m: float, offset_m: float, group: int
@@ -298,6 +299,7 @@ def _event(event: _Open) -> Event:
         probability=extremes["probability"],
         reason=_reason(event),
         headway_s=extremes["headway_s"],
+        scale_in_doubt=int(event.peak["scale_in_doubt"]),
     )
 
 

@@ -29,7 +29,11 @@ def event(**changes: Any) -> Event:
         "probability": 0.75,
         "reason": "car ahead, closing",
     }
-    others = {field.name: math.nan for field in dataclasses.fields(Event) if field.name not in values}
+    others = {
+        field.name: math.nan
+        for field in dataclasses.fields(Event)
+        if field.name not in values and field.default is dataclasses.MISSING
+    }
     return Event(**{**others, **values, **changes})
 
 

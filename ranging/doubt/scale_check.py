@@ -1,0 +1,294 @@
+r"""ScaleCheck: whether what the program was told agrees with everything in a drive that has a scale.
+
+Unknowns, as logarithms of factors: the error g of the rig (its baseline), a of all distances by size, h of the camera's
+height over the expected one, f of the focal length and u of the given speed.
+
+    log d_stereo - log d_size of the road users                      = g - a        own sizes, wrong matches
+    log height of the camera over their contact points by size       = h + a
+    log height by stereo odometry over the motion of the road        = g + h
+    log height by the given speed over the motion of the road        = h - f + u    one camera
+    log speed by stereo odometry - log given speed                   = g + f - u
+    log height by the usual width of the lane, from its lines        = h
+    log focal length - that by the shapes of vehicles' boxes         = f
+    log of an impossible speed by stereo odometry over the largest   < g + f
+
+Every unknown has a prior: a that of the region, h a usual or the given height, g, f and u the precision of calibrations
+and receivers. Because they are estimated together, a scale learnt from one of them cannot correct another in circles.
+One hypothesis is that all priors hold; in each of the others one unknown is a mistake and has no prior. Something is in
+doubt if such a hypothesis fits better by `_DOUBTFUL`, the 3 sigma of one free parameter; all that fit nearly as well
+are named. A usual height and a usual lane have heavy tails, and alone excludes nothing: there are lorries and robots.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from track_range.detection.lanes.lines import LaneLines
+from track_range.foundation.arrays import FloatArray
+from track_range.foundation.track_state import TrackState
+from track_range.ranging.doubt.scale_doubt import SHOWN_SIGMA, Agreement, Cause, Evidence, ScaleDoubt, known_mistakes
+from track_range.ranging.doubt.shape_check import ShapeCheck
+from track_range.ranging.methods.lane_width import LaneWidth
+from track_range.ranging.ranges import Ranges
+from track_range.ranging.region import Region
+from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
+from track_range.ranging.size_models.size_model import SIZE_CLASSES, SizeModel, surface_offset_m
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.odometry.camera_height import CameraHeight
+from track_range.stereo.odometry.ego_motion import EgoMotion
+from track_range.stereo.odometry.road_horizon import RoadView
+from track_range.tracking.tracks import Tracks
+
+_RIG, _SIZES, _HEIGHT, _FOCAL, _SPEED = range(5)  # unknowns
+_CAUSES: dict[int, Cause] = {_RIG: "baseline", _FOCAL: "focal length", _SPEED: "speed", _HEIGHT: "camera height"}
+_RIG_SIGMA, _FOCAL_SIGMA, _SPEED_SIGMA = 0.025, 0.02, 0.015  # of calibrations, and of the scale of receivers
+_SIZES_SIGMA: dict[bool, float] = {True: 0.07, False: 0.085}  # if the region is known, and if it is not
+_HEIGHT_M, _HEIGHT_SIGMA = 1.45, 0.22  # usual height of cameras behind a windscreen
+_GIVEN_SIGMA = 0.03  # of a given height
+_ODOMETRY_SIGMA = 0.01  # of the scale of stereo odometry with a right rig
+_LANE_SIGMA = 0.1  # of the opening of lane lines, in addition to the width of the lane
+_FREE_SIGMA = 3.0  # of a mistake
+_MAX_MPS, _MAX_MPS_SIGMA = 45.0, 0.15  # speed that vehicles hardly exceed, and the sigma of its logarithm
+_DOUBTFUL = 9.0  # difference of chi-squared of a doubt
+_NEARLY = 4.0  # largest difference between causes that both fit; price of a factor without a known mistake
+_TAILS = 4.0  # largest chi-squared of a usual height and of a usual lane
+_OUTLIER, _OUTLIER_SIGMA = 0.1, 1.0  # fraction of objects with a mismatch or a wrong class, and their sigma
+_MIN_OBJECT_SIGMA = 0.06  # of an object: its frames do not average out
+_SHARED_VARIANCE, _MAX_SHARED = 0.07**2, 0.4  # of sizes that objects have in common, and its largest fraction
+_MAX_SIZE_SIGMA, _MAX_HEIGHT_SIGMA = 0.25, 0.2  # of distances by size and of heights that are evidence, relative
+_MIN_FRAMES, _MIN_OBJECTS, _MIN_LANES = 3, 2, 10
+_INTERVAL_S = 0.5  # between two evaluations
+_MAX_OBJECTS = 300
+_IS_EVIDENCE = np.array([not name.startswith("traffic") for name in SIZE_CLASSES])  # lights and signs vary too much
+_LANE = "the lane lines"
+_STEP = 0.02
+_LOG = np.arange(-3.2, 3.2 + _STEP / 2, _STEP)  # (G,) grid of what objects have in common
+
+
+class _Solution(NamedTuple):
+    """The unknowns (5,) that fit the evidence best, their covariance, and chi-squared."""
+
+    chi2: float
+    x: FloatArray
+    P: FloatArray
+
+
+class ScaleCheck:
+    """Likelihood of all scales of a drive; the state belongs to the instance."""
+
+    def __init__(
+        self,
+        camera: PinholeCamera,
+        *,
+        has_rig: bool = True,
+        region: Region = "unknown",
+        height_m: float | None = None,
+        focal_sigma: float = 0.0,
+        lane: LaneWidth | None = None,
+        sizes: SizeModel | None = None,
+        road_height_m: float = _HEIGHT_M,
+    ) -> None:
+        """Start without evidence.
+
+        Args:
+            camera: the left camera.
+            has_rig: whether it belongs to a calibrated pair.
+            region: region of the recording.
+            height_m: given height of the camera above the road; None = a usual one.
+            focal_sigma: relative standard deviation of the focal length; 0 = calibrated.
+            lane: usual width of the lane; None = lane lines are not used.
+            sizes: shapes of vehicles, which measure a calibrated focal length; None = they are not used.
+            road_height_m: height with which the motion of the road is measured.
+        """
+        self.has_rig, self._camera, self._lane = has_rig, camera, lane
+        self._height_m = height_m or _HEIGHT_M
+        self._has_height = height_m is not None
+        height_sigma = _GIVEN_SIGMA if self._has_height else _HEIGHT_SIGMA
+        focal_sigma = math.hypot(_FOCAL_SIGMA, focal_sigma)
+        sizes_sigma = _SIZES_SIGMA[region != "unknown"]
+        self._priors = np.array([_RIG_SIGMA, sizes_sigma, height_sigma, focal_sigma, _SPEED_SIGMA])
+        self._objects = TrackState(np.zeros(6))  # number of frames, mean, mean variance of g - a, the same of h + a
+        self._pair_height, self._given_height = CameraHeight(road_height_m), CameraHeight(road_height_m)
+        self._speed_ratio = CameraHeight(1.0, shared_sigma=_ODOMETRY_SIGMA)  # of stereo odometry and the given speed
+        self._given_sigmas: list[float] = []
+        self._log_openings: list[float] = []
+        self._shapes = ShapeCheck(camera, sizes) if isinstance(sizes, CuboidSizes) and not focal_sigma else None
+        self._max_mps = 0.0
+        self._due_s = -math.inf
+        self.doubt: ScaleDoubt | None = None  # the latest finding; None = no contradiction
+        self.agreement = Agreement(math.inf, "")
+
+    def update(
+        self,
+        tracks: Tracks,
+        by_size: Ranges,
+        stereo: Ranges | None,
+        *,
+        time_s: float,
+        road: RoadView | None = None,
+        lanes: LaneLines | None = None,
+        by_pair: EgoMotion | None = None,
+        by_road: EgoMotion | None = None,
+        given: EgoMotion | None = None,
+    ) -> None:
+        """Add a frame: distances by size (without the correction of the drive's scale) and by stereo of its tracks.
+
+        `road` is the road in the frame. The speed of the camera is that of stereo odometry, that of the motion of the
+        road with the height `road_height_m`, and that which was given; None = unknown.
+        """
+        self._add(tracks, by_size, stereo, road)
+        if self._shapes is not None:
+            self._shapes.add(tracks, time_s)
+        if lanes is not None and lanes.left is not None and lanes.right is not None:
+            opening = float((lanes.right.coefficients - lanes.left.coefficients)[1])
+            if opening > 0:
+                self._log_openings.append(math.log(opening * self._camera.fy_px / self._camera.fx_px))
+        if by_pair is not None:
+            self._max_mps = float(np.fmax(self._max_mps, by_pair.speed_mps))
+            if by_road is not None:
+                self._pair_height.update(time_s, by_pair, by_road)
+        if given is not None and math.isfinite(given.speed_mps):
+            self._given_sigmas.append(given.speed_sigma_mps / max(abs(given.speed_mps), 0.1))
+            if by_pair is not None:
+                self._speed_ratio.update(time_s, by_pair, given)
+            elif by_road is not None:
+                self._given_height.update(time_s, given, by_road)
+        if time_s >= self._due_s:
+            self._due_s = time_s + _INTERVAL_S
+            self.doubt = self._evaluated()
+
+    def summary(self) -> dict[str, Any]:
+        """Sections of summary.json."""
+        found: dict[str, Any] = {}
+        if self.doubt is not None:
+            found["scale_doubt"] = {**self.doubt._asdict(), "causes": dict(self.doubt.causes)}
+        if self.has_rig:
+            sigma, evidence = self.agreement
+            found["baseline_check"] = {"sigma": sigma if sigma <= SHOWN_SIGMA else None, "evidence": evidence}
+        return found
+
+    def _add(self, tracks: Tracks, by_size: Ranges, stereo: Ranges | None, road: RoadView | None) -> None:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            size_sigma = by_size.sigma_m / by_size.distance_m
+            is_used = tracks.observed & _IS_EVIDENCE[tracks.class_id] & (size_sigma < _MAX_SIZE_SIGMA)
+            size_variance = size_sigma**2 - np.minimum(_SHARED_VARIANCE, _MAX_SHARED * size_sigma**2)
+            r, r_variance, q, q_variance = np.full((4, len(tracks)), np.nan)
+            if stereo is not None:
+                r = np.log(stereo.distance_m / by_size.distance_m)
+                r_variance = size_variance + (stereo.sigma_m / stereo.distance_m) ** 2
+            if road is not None:
+                x = (tracks.xyxy_px[:, 0] + tracks.xyxy_px[:, 2]) / 2
+                horizon = road.horizon + road.slope * (x - self._camera.cx_px) / self._camera.fx_px
+                below = (tracks.xyxy_px[:, 3] - self._camera.cy_px) / self._camera.fy_px - horizon
+                offset_m = surface_offset_m(tracks.xyxy_px, tracks.class_id, has_visible_boxes=True)
+                q = np.log(below * (by_size.distance_m - offset_m))
+                angle_variance = road.horizon_variance + 0.004**2 + (1.5 / self._camera.fy_px) ** 2
+                q_variance = angle_variance / below**2 + size_variance
+        has_height = is_used & np.isfinite(q) & (q_variance < _MAX_HEIGHT_SIGMA**2)
+        new = np.array([is_used & np.isfinite(r), r, r_variance, has_height, q, q_variance])
+        state = self._objects.get(tracks.track_id)
+        for rows in (slice(0, 3), slice(3, 6)):
+            n, *values = new[rows]
+            state[rows][0] += n
+            gain = n / np.maximum(state[rows][0], 1.0)
+            for mean, value in zip(state[rows][1:], values, strict=True):
+                mean += gain * (np.where(n > 0, value, 0.0) - mean)
+        stays = np.arange(self._objects.known.shape[1]) < _MAX_OBJECTS
+        self._objects.put(tracks.track_id, state, keep_known=stays)
+
+    def _evidence(self) -> tuple[list[Evidence], int]:
+        """All evidence so far, and the number of road users in it."""
+        found, expected = [], math.log(self._height_m)
+        n, r, r_variance, n_q, q, q_variance = self._objects.known
+        is_known, has_height = n >= _MIN_FRAMES, n_q >= _MIN_FRAMES
+        n_objects = int((is_known | has_height).sum())
+        if is_known.sum() >= _MIN_OBJECTS:
+            sizes = _common(r[is_known], r_variance[is_known])
+            found.append(Evidence(f"the sizes of {is_known.sum()} road users", (1, -1, 0, 0, 0), *sizes))
+        if has_height.sum() >= _MIN_OBJECTS:
+            contacts = _common(q[has_height] - expected, q_variance[has_height])
+            found.append(Evidence("where road users touch the road", (0, 1, 1, 0, 0), *contacts))
+        given_sigma = float(np.median(self._given_sigmas)) if self._given_sigmas else 0.0
+        for name, of, ratio, other_sigma in (
+            ("the motion of the road", (1, 0, 1, 0, 0), self._pair_height, 0.0),
+            ("the given speed", (0, 0, 1, -1, 1), self._given_height, given_sigma),
+            ("the given speed", (1, 0, 0, 1, -1), self._speed_ratio, given_sigma),
+        ):
+            if (measured := ratio.height_m) is not None:
+                base = 0.0 if ratio is self._speed_ratio else expected
+                sigma = math.hypot(measured[1] / measured[0], other_sigma)
+                found.append(Evidence(name, of, math.log(measured[0]) - base, sigma))
+        if self._lane is not None and len(self._log_openings) >= _MIN_LANES:
+            height = math.log(self._lane.width_m) - float(np.median(self._log_openings)) - expected
+            found.append(Evidence(_LANE, (0, 0, 1, 0, 0), height, math.hypot(self._lane.sigma, _LANE_SIGMA)))
+        if self._shapes is not None and (shapes := self._shapes.evidence) is not None:
+            found.append(shapes)
+        return found, n_objects
+
+    def _evaluated(self) -> ScaleDoubt | None:
+        found, n_objects = self._evidence()
+        if not found and self._max_mps <= _MAX_MPS:
+            return None
+        height = f"{'the given' if self._has_height else 'a usual'} height of the camera"
+        names = ", ".join(dict.fromkeys((*(evidence.name for evidence in found), height)))
+        right, fits = self._fitted(found, self._priors), []
+        for unknown, cause in _CAUSES.items():
+            priors = self._priors.copy()
+            priors[unknown] = _FREE_SIGMA
+            chi2, x, P = self._fitted(found, priors)
+            sigma = math.sqrt(P[unknown, unknown])
+            if unknown == _RIG and self.has_rig:
+                self.agreement = Agreement(sigma, names)
+            factor = math.exp(x[unknown] if unknown != _HEIGHT else -x[unknown])
+            is_known = cause == "baseline" or known_mistakes(cause, factor, sigma)
+            if {_RIG: self.has_rig, _HEIGHT: self._has_height, _SPEED: bool(self._given_sigmas)}.get(unknown, True):
+                fits.append((chi2 + (0.0 if is_known else _NEARLY), cause, factor, sigma))
+        fits.sort()
+        least, _, factor, sigma = fits[0]
+        if right.chi2 - least < _DOUBTFUL:
+            return None
+        near = tuple((cause, value) for chi2, cause, value, _ in fits if chi2 < least + _NEARLY)
+        return ScaleDoubt(factor, sigma, n_objects, near, names)
+
+    def _fitted(self, found: list[Evidence], priors: FloatArray) -> _Solution:
+        """The best solution, with standard deviations (5,) of the priors; an unusual height or lane has a price."""
+        unusual = priors.copy()
+        unusual[_HEIGHT] = _FREE_SIGMA
+        heights = [(priors, 0.0)] if self._has_height else [(priors, 0.0), (unusual, _TAILS)]
+        lanes = [(found, 0.0), ([evidence for evidence in found if evidence.name != _LANE], _TAILS)]
+        fits = []
+        for (of_height, price), (evidence, lane_price) in itertools.product(heights, lanes):
+            solution = _solved(evidence, of_height)
+            speed = math.log(max(self._max_mps, 1.0) / _MAX_MPS)
+            if speed > solution.x[_RIG] + solution.x[_FOCAL]:
+                too_fast = Evidence("", (1, 0, 0, 1, 0), speed, _MAX_MPS_SIGMA)
+                solution = _solved([*evidence, too_fast], of_height)
+            fits.append(solution._replace(chi2=solution.chi2 + price + lane_price))
+        return min(fits, key=lambda solution: solution.chi2)
+
+
+def _solved(found: list[Evidence], priors: FloatArray) -> _Solution:
+    sigma = np.array([*priors, *(evidence.sigma for evidence in found)])
+    A = np.concatenate([np.eye(5), np.reshape([evidence.of for evidence in found], (-1, 5))]) / sigma[:, None]
+    b = np.array([*np.zeros(5), *(evidence.value for evidence in found)]) / sigma
+    P = np.linalg.inv(A.T @ A)
+    x = P @ (A.T @ b)
+    residual = A @ x - b
+    return _Solution(float(residual @ residual), x, P)
+
+
+def _common(value: FloatArray, variance: FloatArray) -> tuple[float, float]:
+    """Mean and standard deviation of what the objects (K,) have in common; some of them are outliers."""
+    sigma = np.sqrt(variance + _MIN_OBJECT_SIGMA**2)[:, None]
+    difference = value[:, None] - _LOG
+    near = (1 - _OUTLIER) / sigma * np.exp(-0.5 * (difference / sigma) ** 2)
+    far = _OUTLIER / _OUTLIER_SIGMA * np.exp(-0.5 * (difference / _OUTLIER_SIGMA) ** 2)
+    log_p = np.log(near + far).sum(axis=0)
+    weight = np.exp(log_p - log_p.max())
+    weight /= weight.sum()
+    mean = float(weight @ _LOG)
+    return mean, math.sqrt(float(weight @ (_LOG - mean) ** 2) + _STEP**2 / 12)

@@ -1,0 +1,99 @@
+"""ScaleDoubt: what the program was told and a drive contradicts, as values and as a sentence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence, Set
+from typing import Literal, NamedTuple
+
+Cause = Literal["baseline", "focal length", "speed", "camera height"]
+
+SHOWN_SIGMA = 0.25  # largest standard deviation of a baseline that counts as checked
+
+
+class Evidence(NamedTuple):
+    """An equation of the unknowns g, a, h, f and u of `ScaleCheck`."""
+
+    name: str
+    of: tuple[float, float, float, float, float]  # their coefficients
+    value: float
+    sigma: float
+
+
+class ScaleDoubt(NamedTuple):
+    """Something that the program was told and that contradicts the drive."""
+
+    factor: float  # by which the first of `causes` is too large
+    sigma: float  # relative standard deviation of the factor
+    n_objects: int  # road users that are evidence
+    causes: tuple[tuple[Cause, float], ...]  # what may be wrong, the most likely first, and the factor of each
+    evidence: str  # what shows it
+
+    def sigma_of(self, causes: Set[Cause]) -> float:
+        """Relative standard deviation of distances that cover both scales, if one of these causes changes them."""
+        factors = [factor for cause, factor in self.causes if cause in causes]
+        return max((abs(1.0 - 1.0 / factor) + self.sigma / factor for factor in factors), default=0.0)
+
+    def sentence(self, baseline_m: float | None) -> str:
+        """Note for the user, with the causes that fit."""
+        found = "; or ".join(self._cause(*cause, baseline_m) for cause in self.causes)
+        return (
+            f"Scale in doubt: {found}. Evidence: {self.evidence}. Check it; until then the sigmas of the distances "
+            "that depend on it cover both, and there are no warnings."
+        )
+
+    def _cause(self, cause: Cause, factor: float, baseline_m: float | None) -> str:
+        times = f"{factor:.2f} times (± {100 * self.sigma:.0f} %) what the drive shows"
+        fits = known_mistakes(cause, factor, self.sigma)
+        if cause == "baseline" and baseline_m is not None:
+            times += f", {baseline_m / factor:.3g} m instead of {baseline_m:.3g} m"
+            fits.append(f"squares of the calibration given {factor:.2g} times as large as they were")
+        return f"the {cause} is {times}" + (f" ({', '.join(fits)}?)" if fits else "")
+
+
+_MISTAKES: tuple[tuple[Cause, float, str], ...] = (
+    ("baseline", 2.54, "centimetres read as inches"),
+    ("baseline", 1 / 2.54, "inches read as centimetres"),
+    ("baseline", 3.281, "feet read as metres"),
+    ("baseline", 0.3048, "metres read as feet"),
+    ("baseline", 10.0, "millimetres read as centimetres"),
+    ("baseline", 0.1, "centimetres read as millimetres"),
+    ("focal length", 0.5, "the matrix of images of half the size"),
+    ("focal length", 2.0, "the matrix of images of twice the size"),
+    ("speed", 3.6, "km/h read as m/s"),
+    ("speed", 1 / 3.6, "m/s read as km/h"),
+    ("speed", 1.609, "km/h read as miles per hour"),
+    ("speed", 1 / 1.609, "miles per hour read as km/h"),
+    ("speed", 1.944, "knots read as m/s"),
+    ("speed", 1 / 1.852, "knots read as km/h"),
+)
+"""Mistakes, and the factor that each makes a value too large by."""
+
+
+def known_mistakes(cause: Cause, factor: float, sigma: float) -> list[str]:
+    """Known mistakes with this factor, within 2 sigma."""
+    return [text for of, value, text in _MISTAKES if of == cause and abs(math.log(value / factor)) < 2 * sigma]
+
+
+def causes_of(error_sources: Sequence[str]) -> frozenset[Cause]:
+    """What changes the distances of a method with these error sources."""
+    causes: set[Cause] = {"focal length"}
+    if "baseline" in error_sources:
+        causes.add("baseline")
+    if "horizon" in error_sources:  # ranged by the height of the camera, which a given speed may have shown
+        causes |= {"camera height", "speed"}
+    return frozenset(causes)
+
+
+class Agreement(NamedTuple):
+    """What a drive shows about the baseline."""
+
+    sigma: float  # relative standard deviation of the drive's own baseline
+    evidence: str
+
+    @property
+    def sentence(self) -> str:
+        """Note for the user."""
+        if self.sigma > SHOWN_SIGMA:
+            return "The baseline cannot be checked in this drive."
+        return f"The baseline agrees with the drive within {100 * self.sigma:.0f} % (1 sigma), by {self.evidence}."
