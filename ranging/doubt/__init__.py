@@ -1,1 +1,1 @@
-"""Doubt about what the program was told, by everything in a drive that has a scale."""
+"""Doubt about what the user gave, by everything in a drive that has a scale."""

@@ -1,4 +1,4 @@
-r"""ScaleCheck: whether what the program was told agrees with everything in a drive that has a scale.
+r"""ScaleCheck: whether the given scales agree with everything in a drive that has one.
 
 Unknowns, as logarithms of factors: the error g of the rig (its baseline), a of all distances by size, h of the camera's
 height over the expected one, f of the focal length and u of the given speed.
@@ -163,13 +163,13 @@ class ScaleCheck:
 
     def summary(self) -> dict[str, Any]:
         """Sections of summary.json."""
-        found: dict[str, Any] = {}
+        sections: dict[str, Any] = {}
         if self.doubt is not None:
-            found["scale_doubt"] = {**self.doubt._asdict(), "causes": dict(self.doubt.causes)}
+            sections["scale_doubt"] = {**self.doubt._asdict(), "causes": dict(self.doubt.causes)}
         if self.has_rig:
             sigma, evidence = self.agreement
-            found["baseline_check"] = {"sigma": sigma if sigma <= SHOWN_SIGMA else None, "evidence": evidence}
-        return found
+            sections["baseline_check"] = {"sigma": sigma if sigma <= SHOWN_SIGMA else None, "evidence": evidence}
+        return sections
 
     def _add(self, tracks: Tracks, by_size: Ranges, stereo: Ranges | None, road: RoadView | None) -> None:
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -202,16 +202,16 @@ class ScaleCheck:
 
     def _evidence(self) -> tuple[list[Evidence], int]:
         """All evidence so far, and the number of road users in it."""
-        found, expected = [], math.log(self._height_m)
+        evidence, expected = [], math.log(self._height_m)
         n, r, r_variance, n_q, q, q_variance = self._objects.known
         is_known, has_height = n >= _MIN_FRAMES, n_q >= _MIN_FRAMES
         n_objects = int((is_known | has_height).sum())
         if is_known.sum() >= _MIN_OBJECTS:
             sizes = _common(r[is_known], r_variance[is_known])
-            found.append(Evidence(f"the sizes of {is_known.sum()} road users", (1, -1, 0, 0, 0), *sizes))
+            evidence.append(Evidence(f"the sizes of {is_known.sum()} road users", (1, -1, 0, 0, 0), *sizes))
         if has_height.sum() >= _MIN_OBJECTS:
             contacts = _common(q[has_height] - expected, q_variance[has_height])
-            found.append(Evidence("where road users touch the road", (0, 1, 1, 0, 0), *contacts))
+            evidence.append(Evidence("where road users touch the road", (0, 1, 1, 0, 0), *contacts))
         given_sigma = float(np.median(self._given_sigmas)) if self._given_sigmas else 0.0
         for name, of, ratio, other_sigma in (
             ("the motion of the road", (1, 0, 1, 0, 0), self._pair_height, 0.0),
@@ -221,25 +221,25 @@ class ScaleCheck:
             if (measured := ratio.height_m) is not None:
                 base = 0.0 if ratio is self._speed_ratio else expected
                 sigma = math.hypot(measured[1] / measured[0], other_sigma)
-                found.append(Evidence(name, of, math.log(measured[0]) - base, sigma))
+                evidence.append(Evidence(name, of, math.log(measured[0]) - base, sigma))
         if self._lane is not None and len(self._log_openings) >= _MIN_LANES:
             height = math.log(self._lane.width_m) - float(np.median(self._log_openings)) - expected
-            found.append(Evidence(_LANE, (0, 0, 1, 0, 0), height, math.hypot(self._lane.sigma, _LANE_SIGMA)))
+            evidence.append(Evidence(_LANE, (0, 0, 1, 0, 0), height, math.hypot(self._lane.sigma, _LANE_SIGMA)))
         if self._shapes is not None and (shapes := self._shapes.evidence) is not None:
-            found.append(shapes)
-        return found, n_objects
+            evidence.append(shapes)
+        return evidence, n_objects
 
     def _evaluated(self) -> ScaleDoubt | None:
-        found, n_objects = self._evidence()
-        if not found and self._max_mps <= _MAX_MPS:
+        evidence, n_objects = self._evidence()
+        if not evidence and self._max_mps <= _MAX_MPS:
             return None
         height = f"{'the given' if self._has_height else 'a usual'} height of the camera"
-        names = ", ".join(dict.fromkeys((*(evidence.name for evidence in found), height)))
-        right, fits = self._fitted(found, self._priors), []
+        names = ", ".join(dict.fromkeys((*(item.name for item in evidence), height)))
+        right, fits = self._fitted(evidence, self._priors), []
         for unknown, cause in _CAUSES.items():
             priors = self._priors.copy()
             priors[unknown] = _FREE_SIGMA
-            chi2, x, P = self._fitted(found, priors)
+            chi2, x, P = self._fitted(evidence, priors)
             sigma = math.sqrt(P[unknown, unknown])
             if unknown == _RIG and self.has_rig:
                 self.agreement = Agreement(sigma, names)
@@ -254,27 +254,27 @@ class ScaleCheck:
         near = tuple((cause, value) for chi2, cause, value, _ in fits if chi2 < least + _NEARLY)
         return ScaleDoubt(factor, sigma, n_objects, near, names)
 
-    def _fitted(self, found: list[Evidence], priors: FloatArray) -> _Solution:
+    def _fitted(self, evidence: list[Evidence], priors: FloatArray) -> _Solution:
         """The best solution, with standard deviations (5,) of the priors; an unusual height or lane has a price."""
         unusual = priors.copy()
         unusual[_HEIGHT] = _FREE_SIGMA
         heights = [(priors, 0.0)] if self._has_height else [(priors, 0.0), (unusual, _TAILS)]
-        lanes = [(found, 0.0), ([evidence for evidence in found if evidence.name != _LANE], _TAILS)]
+        lanes = [(evidence, 0.0), ([item for item in evidence if item.name != _LANE], _TAILS)]
         fits = []
-        for (of_height, price), (evidence, lane_price) in itertools.product(heights, lanes):
-            solution = _solved(evidence, of_height)
+        for (of_height, price), (used, lane_price) in itertools.product(heights, lanes):
+            solution = _solved(used, of_height)
             speed = math.log(max(self._max_mps, 1.0) / _MAX_MPS)
             if speed > solution.x[_RIG] + solution.x[_FOCAL]:
                 too_fast = Evidence("", (1, 0, 0, 1, 0), speed, _MAX_MPS_SIGMA)
-                solution = _solved([*evidence, too_fast], of_height)
+                solution = _solved([*used, too_fast], of_height)
             fits.append(solution._replace(chi2=solution.chi2 + price + lane_price))
         return min(fits, key=lambda solution: solution.chi2)
 
 
-def _solved(found: list[Evidence], priors: FloatArray) -> _Solution:
-    sigma = np.array([*priors, *(evidence.sigma for evidence in found)])
-    A = np.concatenate([np.eye(5), np.reshape([evidence.of for evidence in found], (-1, 5))]) / sigma[:, None]
-    b = np.array([*np.zeros(5), *(evidence.value for evidence in found)]) / sigma
+def _solved(evidence: list[Evidence], priors: FloatArray) -> _Solution:
+    sigma = np.array([*priors, *(item.sigma for item in evidence)])
+    A = np.concatenate([np.eye(5), np.reshape([item.of for item in evidence], (-1, 5))]) / sigma[:, None]
+    b = np.array([*np.zeros(5), *(item.value for item in evidence)]) / sigma
     P = np.linalg.inv(A.T @ A)
     x = P @ (A.T @ b)
     residual = A @ x - b

@@ -1,4 +1,4 @@
-"""ScaleDoubt: what the program was told and a drive contradicts, as values and as a sentence."""
+"""ScaleDoubt: a given scale that the drive contradicts, as values and as a sentence."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Evidence(NamedTuple):
 
 
 class ScaleDoubt(NamedTuple):
-    """Something that the program was told and that contradicts the drive."""
+    """A given scale that contradicts the drive."""
 
     factor: float  # by which the first of `causes` is too large
     sigma: float  # relative standard deviation of the factor
@@ -36,9 +36,9 @@ class ScaleDoubt(NamedTuple):
 
     def sentence(self, baseline_m: float | None) -> str:
         """Note for the user, with the causes that fit."""
-        found = "; or ".join(self._cause(*cause, baseline_m) for cause in self.causes)
+        doubts = "; or ".join(self._cause(*cause, baseline_m) for cause in self.causes)
         return (
-            f"Scale in doubt: {found}. Evidence: {self.evidence}. Check it; until then the sigmas of the distances "
+            f"Scale in doubt: {doubts}. Evidence: {self.evidence}. Check it; until then the sigmas of the distances "
             "that depend on it cover both, and there are no warnings."
         )
 
