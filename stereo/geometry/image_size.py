@@ -29,7 +29,6 @@ _COMMON_SIZES = (
 )
 """Usual sizes of images of cameras and data sets for driving, pixels."""
 
-
 _ANALOGUE_PX = (352, 704, 720, 960), (240, 288, 480, 576)  # widths and heights of digitised analogue video
 
 
@@ -106,13 +105,12 @@ def fitted_to_size(
         likely, sizes = doubts[0], _centred_sizes(camera, own)
         notes += (
             f"{source}: focal length in doubt: the principal point x = {camera.cx_px:.0f} px is "
-            f"{abs(camera.cx_px + 0.5 - own[0] / 2) / own[0]:.0%} of the width off the middle of {own[0]}x{own[1]} px, "
-            f"where those of lenses are within {_CENTRED:.0%}; it would be central in images of {_listed(sizes)} px. "
-            f"If the images were resized from {sizes[0][0]}x{sizes[0][1]} px, the focal length is "
-            f"{fitted.fx_px / likely.factor:.0f} px instead of {fitted.fx_px:.0f} px, and distances are "
-            f"{likely.factor:.2f} times what they should be: then state this size in the calibration (track-range rig "
-            f"convert FILE rig.yaml --size {sizes[0][0]}x{sizes[0][1]}, if it has none). If they were cropped, it is "
-            "right. The sigmas of all distances cover both.",
+            f"{abs(camera.cx_px + 0.5 - own[0] / 2) / own[0]:.0%} of the width off the middle of {own[0]}x{own[1]} px "
+            f"(usual: up to {_CENTRED:.0%}), and central in {_listed(sizes)} px. If the images were resized from "
+            f"{_listed(sizes[:1])} px, the focal length is {fitted.fx_px / likely.factor:.0f} px instead of "
+            f"{fitted.fx_px:.0f} px, and distances are {likely.factor:.2f} times what they should be: then state this "
+            f"size in the calibration (track-range rig convert FILE rig.yaml --size {_listed(sizes[:1])}). If they "
+            "were cropped, it is right. The sigmas of all distances cover both.",
         )
     return fitted, (*notes, *field_notes(fitted, source))
 
@@ -127,40 +125,30 @@ def fitted_rig(
     return StereoRig(left, right, rig.right_from_left), left_notes if is_equal else (*left_notes, *right_notes)
 
 
-def analogue_alternatives(
-    size_px: tuple[int, int], source: object
-) -> tuple[tuple[FocalAlternative, ...], tuple[str, ...]]:
-    """Shapes in which images of analogue video without a stated pixel aspect are shown, and a note; else nothing.
+def analogue_alternatives(size_px: tuple[int, int]) -> tuple[FocalAlternative, ...]:
+    """Pixel aspects of analogue video that states none; its pixels are taken as square.
 
-    Distances by width are too long by the pixel aspect, those by height are right: the factor is in between.
+    Distances by width are then too long by the pixel aspect, those by height are right: the factor is in between.
     """
-    width, height = size_px
-    if width not in _ANALOGUE_PX[0] or height not in _ANALOGUE_PX[1]:
-        return (), ()
-    aspects = {shape: shape[0] / shape[1] * height / width for shape in ((4, 3), (16, 9))}
-    others = tuple(
-        FocalAlternative(math.sqrt(aspect), f"the images are to be shown as {shape[0]}:{shape[1]}", is_shown=True)
-        for shape, aspect in aspects.items()
+    if size_px[0] not in _ANALOGUE_PX[0] or size_px[1] not in _ANALOGUE_PX[1]:
+        return ()
+    aspects = {shape: shape[0] * size_px[1] / (shape[1] * size_px[0]) for shape in ((4, 3), (16, 9))}
+    return tuple(
+        FocalAlternative(math.sqrt(aspect), f"shown as {w}:{h}, pixels are {aspect:.2f} times as wide as high", True)
+        for (w, h), aspect in aspects.items()
     )
-    note = (
-        f"{source}: images of {width}x{height} px are usually stored with pixels that are not square ("
-        f"{aspects[4, 3]:.2f} times as wide as high if shown as 4:3, {aspects[16, 9]:.2f} times as 16:9), but the file "
-        "does not state it: taken as square. If the images look squeezed, state their shape, as with ffmpeg -i IN -c "
-        "copy -aspect 4:3 OUT.mp4; the sigmas of all distances cover it."
-    )
-    return others, (note,)
 
 
 def field_notes(camera: PinholeCamera, source: object) -> tuple[str, ...]:
     """A note on a focal length of a pinhole camera with an unusual field of view."""
     fov_deg = 2 * math.degrees(math.atan(camera.width_px / 2 / camera.fx_px))
-    if camera.is_wide or _USUAL_FOV_DEG[0] <= fov_deg <= _USUAL_FOV_DEG[1]:
+    low, high = _USUAL_FOV_DEG
+    if camera.is_wide or low <= fov_deg <= high:
         return ()
-    low, high = (f"{camera.width_px / 2 / math.tan(math.radians(deg) / 2):.0f}" for deg in _USUAL_FOV_DEG[::-1])
     return (
         f"{source}: a focal length of {camera.fx_px:.0f} px in images {camera.width_px} px wide is a field of view of "
-        f"{fov_deg:.0f} degrees; cameras for driving have {_USUAL_FOV_DEG[0]:.0f} to {_USUAL_FOV_DEG[1]:.0f} degrees, "
-        f"{low} to {high} px. Check that it is the focal length of images of this size.",
+        f"{fov_deg:.0f} degrees; cameras for driving have {low:.0f} to {high:.0f} degrees. Check that it is in pixels "
+        "of images of this size.",
     )
 
 

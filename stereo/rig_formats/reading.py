@@ -10,19 +10,9 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import read_text
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.image_size import (
-    FocalAlternative,
-    fitted_rig,
-    fitted_to_size,
-    size_alternatives,
-)
+from track_range.stereo.geometry.image_size import fitted_rig, fitted_to_size
 from track_range.stereo.geometry.rig import Mounting, RigError, StereoRig
-from track_range.stereo.geometry.rig_checks import (
-    RigCalibration,
-    check_camera,
-    check_rig,
-    shared_view_notes,
-)
+from track_range.stereo.geometry.rig_checks import RigCalibration, check_camera, check_rig, shared_view_notes
 from track_range.stereo.rig_formats.kalibr import KALIBR
 from track_range.stereo.rig_formats.kitti import KITTI
 from track_range.stereo.rig_formats.opencv import OPENCV
@@ -53,7 +43,7 @@ def load_rig(
         right_size_px: the same of the right images; None = `size_px`.
         is_grey: whether to use the grey pair of a KITTI file that also has the colour pair.
     """
-    calibration = _read(path, is_grey=is_grey, is_pair=True).of_size(size_px)
+    calibration = read_calibration(path, is_grey=is_grey, is_pair=True).of_size(size_px)
     if calibration.right is None or calibration.right_from_left is None:
         raise RigError(
             f"{path}: expected {missing_camera(path, is_grey=is_grey)}, found one camera; give a file with both "
@@ -90,7 +80,7 @@ def load_camera(
     With `size_px` None, the camera has the file's image size, which may be 0. Raises RigError if the file cannot be
     read, is not a calibration, is implausible or for other images.
     """
-    calibration = _read(path, is_grey=is_grey, is_pair=False).of_size(size_px)
+    calibration = read_calibration(path, is_grey=is_grey, is_pair=False).of_size(size_px)
     check_camera(calibration.left, f"{path}: left")
     if size_px is None:
         return calibration.left, calibration.notes
@@ -103,7 +93,7 @@ def load_calibration(
     path: Path, *, size_px: tuple[int, int] | None = None, is_grey: bool = False
 ) -> tuple[PinholeCamera | StereoRig, tuple[str, ...]]:
     """The rig of a file, or its only camera, and notes for the user; see `load_rig` and `load_camera`."""
-    calibration = _read(path, is_grey=is_grey, is_pair=True).of_size(size_px)
+    calibration = read_calibration(path, is_grey=is_grey, is_pair=True).of_size(size_px)
     if calibration.right is None or calibration.right_from_left is None:
         return load_camera(path, size_px=size_px, is_grey=is_grey)
     if size_px is not None:
@@ -129,7 +119,7 @@ def left_from_reference_m(path: Path, *, is_grey: bool, size_px: tuple[int, int]
     compared with measured distances. `size_px` is the (width, height) of the images; None = rectified. Raises RigError
     if the file cannot be read or is not a calibration.
     """
-    calibration = _read(path, is_grey=is_grey, is_pair=False).of_size(size_px)
+    calibration = read_calibration(path, is_grey=is_grey, is_pair=False).of_size(size_px)
     return np.array(calibration.left_from_reference_m)
 
 
@@ -138,12 +128,7 @@ def mounting_of(path: Path) -> Mounting | None:
 
     Raises RigError if the file cannot be read or is not a calibration.
     """
-    return _read(path, is_grey=False, is_pair=False).mounting
-
-
-def alternatives_of(path: Path, *, is_grey: bool, size_px: tuple[int, int]) -> tuple[FocalAlternative, ...]:
-    """Other readings of the image size of the left or only camera of a file, for images of `size_px`."""
-    return size_alternatives(_read(path, is_grey=is_grey, is_pair=False).of_size(size_px).left, size_px)
+    return read_calibration(path, is_grey=False, is_pair=False).mounting
 
 
 def find_rig(left_video: Path) -> Path | None:
@@ -164,7 +149,7 @@ def _format_of(path: Path) -> tuple[RigFormat, str]:
     )
 
 
-def _read(path: Path, *, is_grey: bool, is_pair: bool) -> RigCalibration:
+def read_calibration(path: Path, *, is_grey: bool, is_pair: bool) -> RigCalibration:
     """Content of a file, or of the two camera_info of ROS in a folder, for two cameras or one."""
     if os.path.isdir(path):
         return read_folder(path)

@@ -37,21 +37,14 @@ from track_range.stereo.geometry.rig import Mounting, RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import check_camera, check_rig
 from track_range.stereo.geometry.virtual_pinhole import field_of_view
 from track_range.stereo.rig_formats.camera_info import camera_of, is_undistorted, rig_of
-from track_range.stereo.rig_formats.reading import (
-    alternatives_of,
-    find_rig,
-    left_from_reference_m,
-    load_camera,
-    load_rig,
-    mounting_of,
-)
+from track_range.stereo.rig_formats.reading import find_rig, load_camera, load_rig, read_calibration
 
 _GIVEN_FOCAL_SIGMA = 0.02  # relative standard deviation of a focal length given by the user; assumed
 _ASSUMED_BASELINE_M = 0.5  # baseline of an uncalibrated pair; it only sets the range of disparities that is searched
 _MAX_HEIGHT_SIGMA = 0.05  # relative standard deviation of a fitted camera height up to which it is used as known
 _CODEC_CROP_PX = 2  # tolerated difference in size of left and right: codecs need even sizes, so one may lack a row
 
-_MAX_ASPECT_ERROR = 0.1  # largest relative difference of pixel aspects that is not worth a note: 4:3 by 480 or 486 rows
+_MAX_ASPECT_ERROR = 0.1  # largest relative difference of pixel aspects that is not worth a note
 
 Video = RecordedVideo | LiveVideo  # a source of the images of one camera
 
@@ -300,8 +293,11 @@ def _without_file(
             "--rig with both of them."
         )
     stored = camera.resized(sizes_px[0])
-    is_stated = video.pixel_aspect is not None
-    others, notes = ((), ()) if is_stated else analogue_alternatives(sizes_px[0], video.path)
+    others = () if video.pixel_aspect is not None else analogue_alternatives(sizes_px[0])
+    doubt = (
+        f"{video.path}: pixel aspect of analogue video not stated: {', '.join(other.cause for other in others)}. "
+        "Pixels are taken as square, and sigma covers it; state the shape: ffmpeg -i IN -c copy -aspect 4:3 OUT.mp4."
+    )
     return RecordingCalibration(
         kind="focal length" if is_exact else "estimated",
         camera=camera,
@@ -311,34 +307,34 @@ def _without_file(
         guesses=guesses,
         focal=None if is_exact else guess,
         alternatives=others,
-        file_notes=(*field_notes(camera, source), *_pixel_notes(stored, camera, aspect), *notes),
+        file_notes=(*field_notes(camera, source), *_pixel_notes(stored, camera, aspect), *([doubt] if others else [])),
     )
 
 
 def _sizes_of(camera: PinholeCamera, sizes_px: Sizes, aspect: float) -> Sizes:
     """Sizes of the images as a calibration has them: with square pixels if these fit it better than the stored ones."""
-
-    def misfit(size_px: tuple[int, int]) -> float:
-        width, height = size_px
-        if not camera.width_px:
-            return abs((camera.cx_px + 0.5) / width - 0.5)
-        return abs(math.log(camera.width_px * height / (camera.height_px * width)))
-
-    shown_px = tuple(square_size(size_px, aspect) for size_px in sizes_px)
-    return shown_px if misfit(shown_px[0]) < misfit(sizes_px[0]) else sizes_px
+    candidates: list[Sizes] = [sizes_px, tuple(square_size(size_px, aspect) for size_px in sizes_px)]
+    if not camera.width_px:
+        return min(candidates, key=lambda sizes: abs((camera.cx_px + 0.5) / sizes[0][0] - 0.5))
+    own = camera.width_px / camera.height_px
+    return min(candidates, key=lambda sizes: abs(math.log(own * sizes[0][1] / sizes[0][0])))
 
 
 def _loaded(path: Path, sizes_px: Sizes, view: LensView, *, is_grey: bool, aspect: float = 1.0) -> RecordingCalibration:
-    fitted_px = _sizes_of(load_camera(path, size_px=None, is_grey=is_grey)[0], sizes_px, aspect)
+    content = read_calibration(path, is_grey=is_grey, is_pair=False)
+    fitted_px = _sizes_of(content.left, sizes_px, aspect)
+    cameras: StereoRig | PinholeCamera
     if len(sizes_px) > 1:
-        rig, notes = load_rig(path, size_px=fitted_px[0], right_size_px=fitted_px[1], is_grey=is_grey)
-        loaded = _of_cameras(rig, path, notes, sizes_px, view, aspect)
+        cameras, notes = load_rig(path, size_px=fitted_px[0], right_size_px=fitted_px[1], is_grey=is_grey)
     else:
-        camera, notes = load_camera(path, size_px=fitted_px[0], is_grey=is_grey)
-        loaded = replace(_of_cameras(camera, path, notes, sizes_px, view, aspect), mounting=mounting_of(path))
-    shift_m = left_from_reference_m(path, is_grey=is_grey, size_px=sizes_px[0])
-    alternatives = alternatives_of(path, is_grey=is_grey, size_px=fitted_px[0])
-    return replace(loaded, left_from_reference_m=shift_m, alternatives=alternatives)
+        cameras, notes = load_camera(path, size_px=fitted_px[0], is_grey=is_grey)
+    content = content.of_size(fitted_px[0])
+    return replace(
+        _of_cameras(cameras, path, notes, sizes_px, view, aspect),
+        mounting=content.mounting if len(sizes_px) == 1 else None,
+        left_from_reference_m=np.array(content.left_from_reference_m),
+        alternatives=size_alternatives(content.left, fitted_px[0]),
+    )
 
 
 def _calibration_in_bag(videos: Sequence[Video], sizes_px: Sizes, view: LensView) -> RecordingCalibration | None:
@@ -420,23 +416,17 @@ def _of_cameras(
 
 
 def _pixel_notes(recorded: PinholeCamera, shown: PinholeCamera, aspect: float) -> tuple[str, ...]:
-    """A note on images that are resampled to square pixels, or that another pixel aspect is stated for."""
-    calibrated = recorded.fy_px / recorded.fx_px
-    size = f"{recorded.width_px}x{recorded.height_px} px"
-    notes = []
-    if not (recorded.has_square_pixels or recorded.is_wide):
-        notes.append(
-            f"The pixels of the images of {size} are not square, but {calibrated:.3g} times as wide as high: the "
-            f"images are resampled to {shown.width_px}x{shown.height_px} px with square pixels, as players show them; "
-            "focal length and boxes are in these pixels."
-        )
-    if aspect != 1.0 and abs(calibrated / aspect - 1.0) > _MAX_ASPECT_ERROR:
-        notes.append(
-            f"Focal length in doubt: in the calibration the pixels of the images of {size} are {calibrated:.3g} times "
-            f"as wide as high, by the video {aspect:.3g} times; the calibration is used. Check that it was measured "
-            "in images of this recorder and mode."
-        )
-    return tuple(notes)
+    """A note on images whose pixels are not square by the calibration, or by the video with this pixel aspect."""
+    own = recorded.fy_px / recorded.fx_px
+    is_contradicted = aspect != 1.0 and abs(own / aspect - 1.0) > _MAX_ASPECT_ERROR
+    if not is_contradicted and (recorded.has_square_pixels or recorded.is_wide):
+        return ()
+    doubt = f" By the video they are {aspect:.3g} times as wide: check the calibration." if is_contradicted else ""
+    return (
+        f"Pixels of the images of {recorded.width_px}x{recorded.height_px} px are {own:.3g} times as wide as high: "
+        f"resampled to {shown.width_px}x{shown.height_px} px with square pixels, to which focal length and boxes refer."
+        f"{doubt}",
+    )
 
 
 def _assumed_rig(camera: PinholeCamera) -> StereoRig:

@@ -62,9 +62,8 @@ class ImageFolder(RecordedVideo):
                 f"{self._images[0][1].name} and {self._images[-1][1].name}; treated as dropped frames."
             )
         self._leading: list[VideoError] = []  # errors of unreadable images before the first readable one
-        number, self._first_path, image = self._first_readable()
+        number, image = self._first_readable()
         self.first_time_s = self._times_s[number]
-        self._first_image: Image | None = image
         self.height_px, self.width_px = image.shape[:2]
         self.is_grey = is_neutral(image)
         self._n_backward = 0
@@ -87,10 +86,6 @@ class ImageFolder(RecordedVideo):
             skipped = f"{counted(self._n_backward, 'image')} with a repeated or backward timestamp skipped."
             notes.append(f"{self.path}: {skipped}")
         return tuple(notes)
-
-    def close(self) -> None:
-        """See `RecordedVideo`."""
-        self._first_image = None
 
     def frames(self, from_s: float, until_s: float) -> Generator[VideoFrame, None, None]:
         """See `RecordedVideo`."""
@@ -120,19 +115,16 @@ class ImageFolder(RecordedVideo):
             if status.st_size < n_bytes or (status.st_size == n_bytes and status.st_mtime_ns != modified_ns):
                 raise VideoError(f"{path}: the image was overwritten while the folder was read; repeat the run.")
 
-    def _first_readable(self) -> tuple[int, Path, Image]:
-        """Number in the list, path and image of the first one that can be read; the first error if none can."""
+    def _first_readable(self) -> tuple[int, Image]:
+        """The first image that can be read, and its place in the list; raises the first error if none can."""
         for number, (_, path) in enumerate(self._images):
             try:
-                return number, path, _decoded(path)
+                return number, _decoded(path)
             except UnreadableImageError as error:
                 self._leading.append(error)
         raise self._leading[0]
 
     def _image(self, path: Path) -> Image:
-        if self._first_image is not None and path == self._first_path:
-            first, self._first_image = self._first_image, None
-            return first
         if not path.exists():
             raise VideoError(f"{path}: the image was deleted or moved while the folder was read; repeat the run.")
         image = _decoded(path)
