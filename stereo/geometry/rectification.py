@@ -144,11 +144,11 @@ class Rectifier(_UndistortedImages):
 
 
 class RemappedView:
-    """A grey image that is remapped only where it is read, and stored once all of it was read."""
+    """A grey image, `recorded`, that is remapped only where it is read, and stored once all of it was read."""
 
     def __init__(self, image: Image, maps: Maps) -> None:
         """The view of `image`, (H, W) or (H, W, 3) BGR, through `maps`."""
-        self._image = grey(image)
+        self.recorded = grey(image)
         self._maps = maps
         self._whole: Image | None = None
 
@@ -161,7 +161,7 @@ class RemappedView:
         """The pixels of `[top:bottom, start:end]`, as with an array."""
         if self._whole is not None:
             return self._whole[window]
-        remapped = _remapped(self._image, (self._maps[0][window], self._maps[1][window]))
+        remapped = _remapped(self.recorded, (self._maps[0][window], self._maps[1][window]))
         if remapped.shape == self.shape:
             self._whole = remapped
         return remapped

@@ -141,16 +141,14 @@ class StereoOdometry:
     def update(self, frame: Frame, xyxy_px: FloatArray) -> EgoMotion:
         """Motion since the previous frame, with boxes (N, 4) of road users in the rectified left image.
 
-        Unknown for the first frame, after a gap, and where it is not reliable. Raises ValueError for one image.
+        Unknown for the first frame, after a gap, without a right image, and where it is not reliable.
         """
         check_shape("xyxy_px", xyxy_px, (None, 4))
-        if frame.right is None:
-            raise ValueError("frame: expected a pair, got one image")
         check_shape("left", frame.left[:, :, 0] if frame.left.ndim == 3 else frame.left, self._image_hw)
         before, self._before = self._before, None
         self._flow.add(frame.left, xyxy_px, frame.time_s)
         now = self._flow.now
-        if now is None or min(now.small.shape) < _MIN_SIDE_PX:
+        if frame.right is None or now is None or min(now.small.shape) < _MIN_SIDE_PX:
             return EgoMotion()
         self._before = self._view(frame.time_s, now, small_grey(whole_image(frame.right), self._n_halved))
         if before is None or not 0 < frame.time_s - before.time_s <= _MAX_GAP_S:

@@ -174,10 +174,16 @@ def test_time_gap_is_unknown():
     assert not motion.update(image, 5.0).is_known
 
 
-def test_one_image_is_refused():
-    rig = kitti_like_rig(width_px=620, height_px=188)
-    with pytest.raises(ValueError, match="pair"):
-        StereoOdometry(rig).update(Frame(0, 0.0, textured_pair(), None), NO_BOXES)
+def test_frame_without_right_image_is_unknown():
+    """So is the one after it, since a motion needs two pairs; the third one is measured again."""
+    odometry = StereoOdometry(kitti_like_rig(width_px=620, height_px=188))
+    left = textured_pair()
+    right = np.roll(left, -12, axis=1)
+    rights = [right, right, None, right, right]
+    speeds_mps = [odometry.update(Frame(i, i / 10, left, image), NO_BOXES).speed_mps for i, image in enumerate(rights)]
+    assert np.isfinite(speeds_mps[1])
+    assert np.isnan([speeds_mps[0], *speeds_mps[2:4]]).all()
+    assert np.isfinite(speeds_mps[4])
 
 
 @pytest.mark.slow

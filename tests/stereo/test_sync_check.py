@@ -1,4 +1,4 @@
-"""A vehicle that drives towards a wall: points move outwards, which distinguishes the frames."""
+"""Two walls of different distance that the vehicle approaches: the vertical motion distinguishes the frames."""
 
 from __future__ import annotations
 
@@ -8,47 +8,63 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.approach import approach
 from track_range.foundation.arrays import Image
-from track_range.stereo.alignment.sync_check import check_sync
+from track_range.stereo.alignment.sync_check import measured_lag
 
 
-def views(*, zoom_per_frame: float, n: int = 4, shift_px: int = 10) -> tuple[list[Image], list[Image]]:
-    """Left and right images of a textured wall, magnified by a factor from frame to frame."""
-    noise = np.random.default_rng(7).normal(size=(320, 700))
-    wall = cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 1.5), None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
-    videos: list[list[Image]] = [[], []]
-    for number in range(n):
-        zoom = zoom_per_frame**number
-        for frames, shift in zip(videos, (0, shift_px), strict=True):
-            towards = np.array([[zoom, 0, 350 - zoom * 350 - 100 - shift], [0, zoom, 160 - zoom * 160 - 30]])
-            frames.append(np.asarray(cv2.warpAffine(wall, towards, (480, 260)), np.uint8))
-    return videos[0], videos[1]
+@pytest.mark.parametrize("late", [-1, 0, 1, 2])
+def test_lag_of_simulated_walls(late: int) -> None:
+    lag = measured_lag(approach(4), approach(5), approach(5 - late, is_right=True))
+    assert lag is not None
+    assert lag.is_known
+    assert lag.value == pytest.approx(late, abs=0.3)
+    assert round(lag.value) == late
 
 
-def test_synchronised_and_lagging_cameras() -> None:
-    left, right = views(zoom_per_frame=1.05)
-    assert check_sync(left[1], right[:3]) == "synchronised"
-    assert check_sync(left[1], right[1:4]) == "left lags"
-    assert check_sync(left[2], right[:3]) == "right lags"
+def test_sign_changes_with_a_later_left_image() -> None:
+    lag = measured_lag(approach(6), approach(5), approach(4, is_right=True))
+    assert lag is not None
+    assert -1.3 < lag.value < -0.7
+
+
+def test_rig_that_does_not_fit_has_no_lag() -> None:
+    turn = np.array([[1.0, 0.02, 3.0], [-0.02, 1.03, 6.0]])
+    right = np.asarray(cv2.warpAffine(approach(5, is_right=True), turn, (480, 260)), np.uint8)
+    lag = measured_lag(approach(4), approach(5), right)
+    assert lag is not None
+    assert lag.is_known
+    assert abs(lag.value) < 0.15
 
 
 def test_static_scene_is_unknown() -> None:
-    left, right = views(zoom_per_frame=1.0)
-    assert check_sync(left[1], right[:3]) == "unknown"
+    noise = np.random.default_rng(3).normal(0, 2, (3, 260, 480))
+    left, right = approach(5).astype(float), approach(5, is_right=True).astype(float)
+    images = [np.clip(image, 0, 255).astype(np.uint8) for image in (left + noise[0], left + noise[1], right + noise[2])]
+    assert measured_lag(*images) is None
 
 
 def test_scene_without_texture_is_unknown() -> None:
     flat = np.full((260, 480, 3), 90, np.uint8)
-    assert check_sync(flat, [flat] * 3) == "unknown"
+    assert measured_lag(flat, flat, flat) is None
+
+
+def test_images_without_common_points_are_unknown() -> None:
+    lag = measured_lag(approach(4), approach(5), np.random.default_rng(1).integers(0, 255, (260, 480), np.uint8))
+    assert lag is not None
+    assert not lag.is_known
 
 
 @pytest.mark.parametrize("drive", ["0003", "0005"])
 def test_real_drives(shared_data: Path, drive: str) -> None:
-    videos = []
+    videos: list[list[Image]] = []
     for side in ("left", "right"):
         video = cv2.VideoCapture(str(shared_data / "kitti_stereo" / drive / f"{side}.mp4"))
-        videos.append([np.asarray(video.read()[1], np.uint8) for _ in range(5)])
+        videos.append([np.asarray(video.read()[1], np.uint8) for _ in range(8)])
     left, right = videos
-    assert check_sync(left[2], right[1:4]) == "synchronised"
-    assert check_sync(left[2], right[0:3]) == "right lags"
-    assert check_sync(left[2], right[2:5]) == "left lags"
+    for late, tolerance in ((0, 0.1), (1, 0.25)):
+        for own, other in ((left, right), (right, left)):
+            lag = measured_lag(own[4], own[5], other[5 - late])
+            assert lag is not None
+            assert lag.is_known
+            assert lag.value == pytest.approx(late, abs=tolerance)

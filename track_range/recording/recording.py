@@ -27,6 +27,7 @@ from track_range.recording.pairs.recorded_pair import RecordedPair
 from track_range.recording.pairs.sync_monitor import SyncMonitor
 from track_range.recording.pairs.video_pair import VideoPair
 from track_range.recording.recorded_video import RecordedVideo
+from track_range.recording.threads import FRAMES_AHEAD
 from track_range.recording.utc import UtcStart, parsed_utc
 from track_range.stereo.alignment.drift import DriftMonitor
 from track_range.stereo.alignment.from_drive import MIN_STEP_S
@@ -103,6 +104,11 @@ class Recording:
         return self.start_utc or self.videos[0].utc
 
     @property
+    def sync(self) -> SyncMonitor | None:
+        """The check that left and right show the same moment; None = no pair, or without checks."""
+        return next((monitor for monitor in self.monitors if isinstance(monitor, SyncMonitor)), None)
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """Messages for the user about the recording; complete only after the last frame."""
         utc = self.utc
@@ -156,7 +162,8 @@ def open_recording(
         start_s: start of the part to read, in seconds after the left video's first frame.
         duration_s: length of the part to read; None = to the end.
         folder_fps: frame rate of folders of images without timestamps.txt.
-        has_checks: whether calibrated pairs are checked for swapped, misaligned or unsynchronised videos.
+        has_checks: whether calibrated pairs are checked for swapped, misaligned or unsynchronised videos, and frames
+            that lag are re-paired.
         start_utc: UTC of the left video's first frame, in ISO 8601; None = from the video.
         topics: topics of the images of the left and right camera, if `left` and `right` are MCAP files or ROS bags.
         progress: shows the progress of the alignment's estimation.
@@ -196,18 +203,20 @@ def open_recording(
         calibration = find_calibration(left, videos, rig=given_rig, focal_px=focal_px, view=view)
         monitors: tuple[Monitor, ...] = ()
         if isinstance(source, VideoPair) and calibration.rig is not None:
-            monitors = (PairMonitor(), SyncMonitor()) if has_checks else ()
-            calibration = _aligned(calibration, calibration.rig, source, align, monitors[:1], progress)
-            monitors += _drift_monitors(calibration, source)
+            checks = (PairMonitor(),) if has_checks else ()
+            calibration = _aligned(calibration, calibration.rig, source, align, checks, progress)
+            monitors = *checks, *(_sync_monitors(source) if has_checks else ()), *_drift_monitors(calibration, source)
         elif isinstance(source, VideoPair):
             row_monitor = PairMonitor(n_conclusive=_N_ROW_PAIRS)
             with closing(source.read_ahead()) as images:
-                for pair in islice(images, MAX_CHECKED_PAIRS):
-                    row_monitor.add(calibration.frame(*pair, source.left.first_time_s))
+                first_s = source.left.first_time_s
+                frames = (calibration.frame(*pair, first_s) for pair in islice(images, MAX_CHECKED_PAIRS))
+                for frame in _sync_monitors(source)[0].paired(frames):
+                    row_monitor.add(frame)
                     if row_monitor.is_done:
                         break
             calibration = calibration.with_row_offsets(row_monitor.row_offsets_px)
-            monitors = (SyncMonitor(),) if row_monitor.row_offsets_px else ()
+            monitors = _sync_monitors(source) if row_monitor.row_offsets_px else ()
         on_error.pop_all()
     return Recording(_frames(source, calibration, monitors, utc), source, calibration, monitors, utc)
 
@@ -265,24 +274,26 @@ def _drift_monitors(calibration: RecordingCalibration, pair: PairedVideos) -> tu
     return () if monitor is None or isinstance(pair, LivePair) else (monitor,)
 
 
+def _sync_monitors(pair: PairedVideos) -> tuple[SyncMonitor]:
+    """The monitor that re-pairs frames; those of streams do not wait for others."""
+    return (SyncMonitor(0 if isinstance(pair, LivePair) else FRAMES_AHEAD),)
+
+
 def _first_frames(
     calibration: RecordingCalibration, pair: PairedVideos, checks: tuple[PairMonitor, ...]
 ) -> Generator[Frame, None, None]:
     """Frames of the first seconds at the interval that the alignment needs; `checks` also receive those in between."""
     first_s, last_s = math.nan, -math.inf
     with closing(pair.read_ahead()) as images:
-        for left, right in images:
-            time_s = left.time_s - pair.left.first_time_s
-            first_s = time_s if math.isnan(first_s) else first_s
-            is_due = time_s - last_s >= MIN_STEP_S
-            if is_due or not all(check.is_done for check in checks):
-                frame = calibration.frame(left, right, pair.left.first_time_s)
-                for check in checks:
-                    check.add(frame)
-                if is_due:
-                    last_s = time_s
-                    yield frame
-            if time_s - first_s > ESTIMATION_SPAN_S:
+        frames = (calibration.frame(left, right, pair.left.first_time_s) for left, right in images)
+        for frame in _sync_monitors(pair)[0].paired(frames) if checks else frames:
+            first_s = frame.time_s if math.isnan(first_s) else first_s
+            for check in checks:
+                check.add(frame)
+            if frame.time_s - last_s >= MIN_STEP_S:
+                last_s = frame.time_s
+                yield frame
+            if frame.time_s - first_s > ESTIMATION_SPAN_S:
                 return
 
 
@@ -291,11 +302,12 @@ def _frames(
 ) -> Generator[Frame, None, None]:
     """All frames, each passed to the monitors; closing the generator closes the videos."""
     video = source.left if isinstance(source, VideoPair) else source
+    sync = next((monitor for monitor in monitors if isinstance(monitor, SyncMonitor)), None)
     with closing(source), closing(iter(source)) as images:
-        for image in images:
-            left, right = image if isinstance(image, tuple) else (image, None)
-            utc = utc or video.utc
-            frame = calibration.frame(left, right, video.first_time_s, utc)
+        pairs = (image if isinstance(image, tuple) else (image, None) for image in images)
+        frames = (calibration.frame(left, right, video.first_time_s, utc or video.utc) for left, right in pairs)
+        for frame in frames if sync is None else sync.paired(frames):
             for monitor in monitors:
-                monitor.add(frame)
+                if not isinstance(monitor, SyncMonitor):
+                    monitor.add(frame)
             yield frame

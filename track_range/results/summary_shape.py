@@ -71,6 +71,7 @@ _SUMMARY = _section(
     events=_section(**_all(Figure, "n hours"), by_kind=dict[str, Figure], worst=dict[str, Any] | None) | None,
     alignment=_section(_Figures, source=Text, is_applied=Any, health=_HEALTH | None) | None,
     learnt_scale=_LearntScale | None,
+    synchronisation=list[dict[str, Any]] | None,
     scale_doubt=_section(**_all(Figure, "factor sigma n_objects"), causes=dict[str, Figure], evidence=Text) | None,
     baseline_check=_section(sigma=Figure | None, evidence=Text) | None,
 )

@@ -30,6 +30,7 @@ from track_range.ranging.size_models.curve import load_curves
 from track_range.recording.cameras.calibration import LensView, RecordingCalibration, calibration_of
 from track_range.recording.pairs.auto_alignment import PairAlignment, StepwiseAlignment, given_alignment
 from track_range.recording.pairs.pair_monitor import PairMonitor
+from track_range.recording.pairs.sync_monitor import SyncMonitor
 from track_range.results.events.event import Event
 from track_range.results.events.finder import EventFinder
 from track_range.results.table import RecentRows
@@ -335,6 +336,7 @@ class _Opened:
     ) -> None:
         self._unaligned, self.calibration, self._stages, self._stepwise = unaligned, aligned, stages, stepwise
         self._monitor = None if stepwise is None else PairMonitor()
+        self._sync = SyncMonitor()
         # The alignment for the next frame is estimated while the caller waits for that frame.
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="alignment")
         self._pending: Future[PairAlignment | None] | None = None
@@ -353,7 +355,7 @@ class _Opened:
     def notes(self) -> tuple[str, ...]:
         self._apply()
         pair = () if self._monitor is None else self._monitor.notes
-        return (*self.calibration.notes, *pair, *self._stages.notes, *self._stages.ranging.notes())
+        return (*self.calibration.notes, *pair, *self._sync.notes, *self._stages.notes, *self._stages.ranging.notes())
 
     def check_sizes(self, images: Mapping[str, Image]) -> None:
         for (name, image), size_px in zip(images.items(), self._unaligned.sizes_px, strict=True):
@@ -363,11 +365,12 @@ class _Opened:
 
     def step(self, images: Sequence[Image], index: int, time_s: float, known: EgoMotion | None) -> FrameResult:
         self._apply()
-        frame = self.calibration.frame_of(images, index, time_s)
+        recorded = self.calibration.frame_of(images, index, time_s)
+        (frame,) = self._sync.add(recorded)
         if self._monitor is not None:
             self._monitor.add(frame)
         result = self._stages.step(self._stages.detected(frame), known)
-        if self._stepwise is not None and self._stepwise.is_active:
+        if self._stepwise is not None and self._stepwise.is_active and frame is recorded:
             unaligned = frame  # the alignment is estimated without the correction of rows and shifts
             if self.calibration.rectifier is not self._unaligned.rectifier:
                 unaligned = self._unaligned.frame_of(images, index, time_s)

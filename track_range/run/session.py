@@ -312,6 +312,7 @@ class RunSession:
             "baseline_m": recording.rig.baseline_m if recording.rig else None,
             **({} if pipeline.scale_check is None else pipeline.scale_check.summary()),
             **({"alignment": calibration.alignment.summary()} if calibration.alignment else {}),
+            **({} if recording.sync is None else recording.sync.summary()),
             **({"drive_bias": pipeline.scale.summary()} if pipeline.scale.n_tracks else {}),
             **pipeline.ranging.summary(),
             "truth": self.truth.protocol if self.truth is not None else None,

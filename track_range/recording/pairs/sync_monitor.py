@@ -1,51 +1,323 @@
-"""SyncMonitor: detects a lag between the two videos of a pair."""
+r"""SyncMonitor: checks during the whole run that left and right show the same moment, and corrects the pairing if not.
+
+    frame -> changes of both images -> one side repeats its image?   stereo of the frame is off
+          -> now and then, and where the changes differ: `measured_lag` -> lag of up to 5 frames?
+          -> wait for `n_ahead` frames -> frame with the right image that shows its moment
+
+A lag counts after two checks of successive frames with the same result: that the right image of some frames later or
+earlier has no lag. Until then, stereo is off in the frames that contradict the present pairing.
+"""
 
 from __future__ import annotations
 
-from collections import Counter, deque
+import math
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass, field, replace
+from itertools import pairwise
+from statistics import median
+from typing import Any, Literal
+
+import cv2
+import numpy as np
 
 from track_range.foundation.arrays import Image
-from track_range.stereo.alignment.sync_check import Sync, check_sync
-from track_range.stereo.geometry.frames import Frame, whole_image
+from track_range.foundation.files.input_files import counted
+from track_range.stereo.alignment.sync_check import Lag, measured_lag
+from track_range.stereo.geometry.frames import Frame, ImageView, whole_image
+from track_range.stereo.geometry.rectification import RemappedView
 
-_SYNC_EVERY, _MAX_SYNC_CHECKS = 5, 12  # interval in frames, and number, of synchronisation checks
-_N_AGREEING_CHECKS = 3  # equal results after which the synchronisation is decided
+MAX_LAG = 5  # longest lag that is searched, in frames
+_MIN_STEP_S, _STEPS = 0.07, (-1, -2, -3, 1, 2, 3)  # time between the two left images of a measurement, and its frames
+_SAME, _OTHER = 0.4, 0.6  # largest lag in frames of simultaneous images, and smallest one of others
+_N_AGREEING, _N_CONTRADICTING = 2, 3  # successive checks after which a lag counts, or that there is none that fits
+
+_PERIOD = 8  # frames between two checks without a reason
+_INCOME, _MAX_CREDIT = 1 / 7, 60.0  # measurements (3 ms each) per frame in the long run, and at most at once
+_N_FAILED = MAX_LAG + 1  # successive checks without a result after which all lags are tried: their images are there
+_CLEAR_RATIO = 0.15  # change of the logarithm of the ratio of right and left changes that is a reason for a check
+
+_N_USUAL, _MIN_USUAL = 15, 3  # number of frames whose median is the usual change
+_REPEATED, _ALWAYS_REPEATED = (
+    0.25,
+    0.03,
+)  # largest change of a repeated image relative to its usual one, or to the other
+_NOISE, _MIN_CHANGE = 0.3, 1.0  # change of the small images by noise, and the smallest one by motion, grey levels
 
 
+@dataclass(slots=True)
+class SyncFinding:
+    """Part of a drive in which left and right do not show the same moment."""
+
+    frame: int  # its first frame
+    time_s: float
+    side: Literal["left", "right", "both"]  # the side that repeats its image or is late
+    kind: Literal["repeated", "lag", "apart"]  # "apart": no lag of up to `MAX_LAG` frames fits
+    lag_frames: int  # 0 except for lags
+    frames: int  # its length
+    action: Literal["stereo off", "re-paired"]
+
+
+@dataclass(slots=True)
+class _Entry:
+    frame: Frame
+    small: tuple[Image, Image]
+    shift: int | None  # the right image of its moment is that many frames later; None = stereo is off
+    repeated: tuple[bool, bool] = (False, False)  # whether the left and the right image are those of the frame before
+
+
+@dataclass(slots=True)
 class SyncMonitor:
-    """Detects a lag of one frame between the two videos while the vehicle moves."""
+    """Checks the frames of a pair in order; `n_ahead` of them are waited for, so that most lags are found in time."""
 
-    def __init__(self) -> None:
-        self._last: deque[Frame] = deque(maxlen=3)
-        self._votes: Counter[Sync] = Counter()
-        self._n_frames = self._n_checks = 0
+    n_ahead: int = 0
+    findings: list[SyncFinding] = field(default_factory=list)
+    _entries: deque[_Entry] = field(default_factory=deque)  # the last frames; the newest ones wait
+    _n_waiting: int = 0
+    _shift: int | None = 0  # that of new frames
+    _candidate: int | None = None  # another one, which the last checks found
+    _n_votes: int = 0  # number of these checks
+    _n_failed: int = 0  # number of the last checks that found nothing
+    _last: SyncFinding | None = None  # the finding of the last frame that was returned
+    _usual: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=_N_USUAL))
+    _credit: float = _MAX_CREDIT
+    _n_unchecked: int = _PERIOD
+    _is_of_right: bool = True  # whether the last check was made from the motion in the right video
+    _is_urgent: bool = False  # whether there is a reason to check the next frame
 
-    @property
-    def _is_settled(self) -> bool:
-        return bool(self._votes) and max(self._votes.values()) >= _N_AGREEING_CHECKS
+    def paired(self, frames: Iterable[Frame]) -> Iterator[Frame]:
+        """The frames with the right images of their moments; None where it is unknown or missing."""
+        for frame in frames:
+            yield from self.add(frame)
+        while self._n_waiting:
+            yield self._next()
 
-    def add(self, frame: Frame) -> None:
-        """Check the next frame."""
-        self._n_frames += 1
-        if self._n_checks == _MAX_SYNC_CHECKS or self._is_settled:
-            self._last.clear()
+    def add(self, frame: Frame) -> list[Frame]:
+        """Check the next frame; returns those that need not wait any longer: without `n_ahead`, this one."""
+        if frame.right is None:
+            return [frame]
+        entry = _Entry(frame, (_small(frame.left), _small(frame.right)), self._shift)
+        self._entries.append(entry)
+        self._n_waiting += 1
+        self._credit = min(self._credit + _INCOME, _MAX_CREDIT)
+        self._n_unchecked += 1
+        if len(self._entries) > 1:
+            self._compare(entry, self._entries[-2])
+            is_due = self._is_urgent or self._n_unchecked >= _PERIOD
+            if is_due and self._credit >= 1 and not any(entry.repeated):
+                self._check(entry)
+        ready = []
+        while self._n_waiting > self._n_to_wait():
+            ready.append(self._next())
+        return ready
+
+    def _n_to_wait(self) -> int:
+        """Number of frames to wait for until the first one that waits is returned."""
+        return self.n_ahead and max(self.n_ahead, self._entries[-self._n_waiting].shift or 0) if self._n_waiting else 0
+
+    def _next(self) -> Frame:
+        """The first frame that waits, with its right image."""
+        place = len(self._entries) - self._n_waiting
+        entry = self._entries[place]
+        self._n_waiting -= 1
+        at = -1 if entry.shift is None or entry.repeated[0] else place + entry.shift
+        partner = self._entries[at] if 0 <= at < len(self._entries) else None
+        right = None if partner is None or partner.repeated[1] else partner.frame.right
+        self._note(entry, is_off=right is None)
+        while len(self._entries) > MAX_LAG + 1 + self._n_waiting:
+            self._entries.popleft()
+        return entry.frame if right is entry.frame.right else replace(entry.frame, right=right)
+
+    def _note(self, entry: _Entry, *, is_off: bool) -> None:
+        """Add the frame to the findings."""
+        before, self._last = self._last, None
+        if not is_off and not entry.shift:
             return
-        self._last.append(frame)
-        if len(self._last) < 3 or self._n_frames % _SYNC_EVERY:
+        finding = SyncFinding(entry.frame.index, entry.frame.time_s, "both", "apart", 0, 1, "stereo off")
+        if any(entry.repeated):
+            finding = replace(finding, kind="repeated", side="left" if entry.repeated[0] else "right")
+        elif entry.shift:
+            side: Literal["left", "right"] = "right" if entry.shift > 0 else "left"
+            finding = replace(finding, kind="lag", side=side, lag_frames=abs(entry.shift))
+            finding.action = "stereo off" if is_off else "re-paired"
+        if before is not None and all(
+            getattr(before, name) == getattr(finding, name) for name in ("kind", "side", "lag_frames")
+        ):
+            before.frames += 1
+            self._last = before
             return
-        self._n_checks += 1
-        rights: list[Image] = [whole_image(frame.right) for frame in self._last if frame.right is not None]
-        if len(rights) == 3 and (sync := check_sync(self._last[1].left, rights)) != "unknown":
-            self._votes[sync] += 1
+        self.findings.append(finding)
+        self._last = finding
+
+    def _compare(self, entry: _Entry, before: _Entry) -> None:
+        """Find repeated images, and whether the changes since the frame before are a reason for a check."""
+        left, right = (cv2.norm(a, b, cv2.NORM_L1) / a.size for a, b in zip(entry.small, before.small, strict=True))
+        usual = tuple(map(median, zip(*self._usual, strict=True))) if self._usual else (left, right)
+        if len(self._usual) >= _MIN_USUAL:
+            entry.repeated = (
+                _is_repeated(left, usual[0], right, usual[1], is_old=before.repeated[0]),
+                _is_repeated(right, usual[1], left, usual[0], is_old=before.repeated[1]),
+            )
+        if not any(entry.repeated):
+            self._usual.append((left, right))
+            ratio = (right + _NOISE) / (usual[1] + _NOISE) * (usual[0] + _NOISE) / (left + _NOISE)
+            self._is_urgent |= abs(math.log(ratio)) > _CLEAR_RATIO or any(before.repeated)
+
+    def _check(self, entry: _Entry) -> None:
+        """Measure the lag of the newest frame at the present shift, and look for another one if it is contradicted."""
+        self._n_unchecked, self._is_urgent, self._is_of_right = 0, False, not self._is_of_right
+        base = self._shift or 0
+        lag = self._measured(self._newest(base), base, is_of_right=self._is_of_right)
+        if lag is None:
+            return
+        best = base if _is_same(lag, _OTHER) else self._searched(base)
+        self._n_failed = self._n_failed + 1 if best is None else 0
+        if _is_other(lag):
+            entry.shift = None
+        elif best is None:
+            self._is_urgent = self._n_failed <= _N_FAILED
+            return
+        if best is not None and best == self._shift:
+            self._candidate, self._n_votes = None, 0
+            return
+        self._is_urgent = True
+        self._n_votes = self._n_votes + 1 if best == self._candidate else 1
+        self._candidate = best
+        if best is not None and self._n_votes >= _N_AGREEING:
+            self._change(best)
+        elif best is None and self._n_votes >= _N_CONTRADICTING:
+            self._shift = None
+
+    def _searched(self, base: int) -> int | None:
+        """The shift at which the newest frame has no lag; None = unknown."""
+        if self._candidate is not None and self._fits(self._newest(self._candidate), self._candidate):
+            return self._candidate
+        shift, tried = base, set[int]()
+        while self._n_failed <= _N_FAILED and shift not in tried and abs(shift) <= MAX_LAG:  # Newton's method
+            tried.add(shift)
+            place = self._newest(shift)
+            late, early = (self._measured(place, shift, is_of_right=is_right) for is_right in (False, True))
+            if shift != base and _is_same(late) and not _is_other(early):
+                return shift
+            # from the side whose moment is later, since points remain in view backwards in time
+            steps = [x.value for x in (late, early) if x is not None and math.isfinite(x.sigma)]
+            clear = [x.value for x, sign in ((late, 1), (early, -1)) if x is not None and x.value * sign > 0]
+            shift += round((clear or steps or [0.0])[0])
+        if self._n_failed < _N_FAILED or self._credit < 2 * MAX_LAG:
+            return None
+        lags = {k: self._measured(self._newest(k), k) for k in range(-MAX_LAG, MAX_LAG + 1) if k not in tried}
+        same = {k: lag.n_points for k, lag in lags.items() if lag is not None and _is_same(lag)}
+        best = max(same, key=same.__getitem__, default=None)
+        return best if best is not None and self._fits(self._newest(best), best) else None
+
+    def _change(self, shift: int) -> None:
+        """Use another shift from the first waiting frame on at which the present one is wrong."""
+        old, self._shift, self._candidate, self._n_votes = self._shift, shift, None, 0
+        for place in range(len(self._entries) - self._n_waiting, len(self._entries)):
+            if old is not None and self._fits(place, old):
+                self._entries[place].shift = old
+            else:
+                lag = self._measured(place, shift)
+                self._entries[place].shift = shift if lag is None or _is_same(lag, _OTHER) else None
+
+    def _newest(self, shift: int) -> int:
+        """Place of the newest left image that has a right one at a shift."""
+        return len(self._entries) - 1 - max(shift, 0)
+
+    def _fits(self, place: int, shift: int) -> bool:
+        """Whether a left image and the right one at a shift show the same moment, from the motion in both videos."""
+        lag = self._measured(place, shift)
+        return _is_same(lag) and not _is_other(self._measured(place, shift, is_of_right=True))
+
+    def _measured(self, place: int, shift: int, *, is_of_right: bool = False) -> Lag | None:
+        """The lag, in frames, of the right image that is paired with a left one by a shift; None = no motion.
+
+        `is_of_right`: from the motion in the right images.
+        """
+        entries, n = self._entries, len(self._entries)
+        if not (0 <= place < n and 0 <= place + shift < n):
+            return None
+        own, partner = (place + shift, place) if is_of_right else (place, place + shift)
+        times_s = [entry.frame.time_s for entry in entries]
+        others = [own + step for step in _STEPS if 0 <= own + step < n]
+        far = [other for other in others if abs(times_s[own] - times_s[other]) >= _MIN_STEP_S]
+        other = far[0] if far else max(others, key=lambda other: abs(times_s[own] - times_s[other]))
+        between = range(min(own, other) + 1, max(own, other) + 1)
+        if entries[partner].repeated[not is_of_right] or any(entries[i].repeated[is_of_right] for i in (own, *between)):
+            return None
+        self._credit -= 1
+        before, now = (_image(entries[i].frame, is_right=is_of_right) for i in (other, own))
+        lag = measured_lag(before, now, _image(entries[partner].frame, is_right=not is_of_right))
+        step = (
+            (times_s[own] - times_s[other]) / median(b - a for a, b in pairwise(times_s)) * (-1 if is_of_right else 1)
+        )
+        return lag and lag._replace(value=lag.value * step)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """The message for the user if one video lags."""
-        sync = self._votes.most_common(1)[0][0] if self._is_settled else "synchronised"
-        if sync == "synchronised":
-            return ()
-        late = "right" if sync == "right lags" else "left"
+        """Messages for the user so far."""
+        return tuple(_sentence(group) for group in self._groups())
+
+    def _groups(self) -> Iterator[list[SyncFinding]]:
+        """Findings of equal kind, side and lag."""
+        groups: dict[tuple[object, ...], list[SyncFinding]] = {}
+        for finding in self.findings:
+            if finding.kind != "apart" or finding.frames >= _N_CONTRADICTING:
+                groups.setdefault((finding.kind, finding.side, finding.lag_frames, finding.action), []).append(finding)
+        yield from groups.values()
+
+    def summary(self) -> dict[str, list[dict[str, Any]]]:
+        """The section `synchronisation` of summary.json, if there are findings."""
+        findings = [asdict(finding) for group in self._groups() for finding in group]
+        return {"synchronisation": findings} if findings else {}
+
+
+def _is_same(lag: Lag | None, limit: float = _SAME) -> bool:
+    return lag is not None and lag.is_known and abs(lag.value) < limit
+
+
+def _is_other(lag: Lag | None) -> bool:
+    return lag is not None and lag.is_known and abs(lag.value) >= _OTHER
+
+
+def _is_repeated(change: float, usual: float, other: float, other_usual: float, *, is_old: bool) -> bool:
+    """Whether one side repeats its image while the other one moves; until it moves again, if it did before."""
+    if usual < _ALWAYS_REPEATED * other_usual:
+        return other_usual > _MIN_CHANGE and change < _ALWAYS_REPEATED * other_usual
+    other_moves = other > max(_MIN_CHANGE, other_usual / 2) and usual > _MIN_CHANGE
+    return change < _REPEATED * usual and (other_moves or is_old)
+
+
+def _image(frame: Frame, *, is_right: bool) -> ImageView:
+    return frame.right if is_right and frame.right is not None else frame.left
+
+
+def _small(view: ImageView) -> Image:
+    """Means of 2x2 of the pixels in every fourth row and column, as recorded: in motion above noise, and cheap."""
+    image = view.recorded if isinstance(view, RemappedView) else whole_image(view)
+    sample = np.ascontiguousarray(image[::4, ::4] if image.ndim == 2 else image[::4, ::4, 1])
+    size_px = max(sample.shape[1] // 2, 1), max(sample.shape[0] // 2, 1)
+    return np.asarray(cv2.resize(sample, size_px, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _sentence(group: list[SyncFinding]) -> str:
+    first, n_frames = group[0], sum(finding.frames for finding in group)
+    when = f"from frame {first.frame} ({first.time_s:.2f} s) on, {counted(n_frames, 'frame')}"
+    when += f" in {len(group)} parts of the drive" if len(group) > 1 else ""
+    off = "stereo distances of these frames are off"
+    if first.kind == "repeated":
         return (
-            f"Left and right are not synchronised: the {late} video lags by one frame (detected from vertical offsets "
-            f"while the vehicle moves), so stereo distances are wrong; cut the first frame off the {late} video.",
+            f"The {first.side} video repeats its last image while the other one moves ({when}): {off}; check the "
+            f"{first.side} camera and its recording."
         )
+    if first.kind == "apart":
+        return (
+            f"Left and right do not show the same moment ({when}), and no lag of up to {MAX_LAG} frames explains it: "
+            f"{off}; check that the two videos belong together, and their timestamps."
+        )
+    done = off if first.action == "stereo off" else "left frames are paired with the right ones of their moment"
+    return (
+        f"Left and right are not synchronised: the {first.side} video lags by {counted(first.lag_frames, 'frame')} "
+        f"({when}; found from the vertical motion of the images): {done}; check for dropped and repeated frames and "
+        "correct the timestamps, or use a hardware trigger."
+    )
