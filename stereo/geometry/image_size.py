@@ -103,14 +103,18 @@ def fitted_to_size(
     if doubts:
         own = camera.size_px if camera.width_px else size_px
         likely, sizes = doubts[0], _centred_sizes(camera, own)
+        size = _listed(sizes[:1])
+        command = "" if camera.width_px else f" (track-range rig convert FILE rig.yaml --size {size})"
+        advice = f"state this size in the calibration{command}"
+        if not has_aspect_of(replace(camera, width_px=sizes[0][0], height_px=sizes[0][1]), size_px):
+            advice = f"give the calibration of these images (fy {camera.fy_px * height / sizes[0][1]:.0f} px)"
         notes += (
             f"{source}: focal length in doubt: the principal point x = {camera.cx_px:.0f} px is "
             f"{abs(camera.cx_px + 0.5 - own[0] / 2) / own[0]:.0%} of the width off the middle of {own[0]}x{own[1]} px "
-            f"(usual: up to {_CENTRED:.0%}), and central in {_listed(sizes)} px. If the images were resized from "
-            f"{_listed(sizes[:1])} px, the focal length is {fitted.fx_px / likely.factor:.0f} px instead of "
-            f"{fitted.fx_px:.0f} px, and distances are {likely.factor:.2f} times what they should be: then state this "
-            f"size in the calibration (track-range rig convert FILE rig.yaml --size {_listed(sizes[:1])}). If they "
-            "were cropped, it is right. The sigmas of all distances cover both.",
+            f"(usual: up to {_CENTRED:.0%}), but central in {_listed(sizes)} px. If images were resized from {size} "
+            f"px, the focal length is {fitted.fx_px / likely.factor:.0f} px instead of {fitted.fx_px:.0f} px, and "
+            f"distances are {likely.factor:.2f} times what they should be: then {advice}. If they were cropped, it is "
+            "right. The sigmas of all distances cover both.",
         )
     return fitted, (*notes, *field_notes(fitted, source))
 
