@@ -49,6 +49,7 @@ _RIG_SIGMA, _FOCAL_SIGMA, _SPEED_SIGMA = 0.025, 0.02, 0.015  # of calibrations, 
 _SIZES_SIGMA: dict[bool, float] = {True: 0.07, False: 0.085}  # if the region is known, and if it is not
 _HEIGHT_M, _HEIGHT_SIGMA = 1.45, 0.22  # usual height of cameras behind a windscreen
 _GIVEN_SIGMA = 0.03  # of a given height
+_KNOWN_FOCAL = 0.05  # largest sigma of a focal length that was not itself estimated from shapes
 _ODOMETRY_SIGMA = 0.01  # of the scale of stereo odometry with a right rig
 _LANE_SIGMA = 0.1  # of the opening of lane lines, in addition to the width of the lane
 _FREE_SIGMA = 3.0  # of a mistake
@@ -84,7 +85,7 @@ class ScaleCheck:
         self,
         camera: PinholeCamera,
         *,
-        has_rig: bool = True,
+        baseline_m: float | None = None,
         region: Region = "unknown",
         height_m: float | None = None,
         focal_sigma: float = 0.0,
@@ -96,7 +97,7 @@ class ScaleCheck:
 
         Args:
             camera: the left camera.
-            has_rig: whether it belongs to a calibrated pair.
+            baseline_m: baseline of a calibrated pair; None = one camera.
             region: region of the recording.
             height_m: given height of the camera above the road; None = a usual one.
             focal_sigma: relative standard deviation of the focal length; 0 = calibrated.
@@ -104,7 +105,7 @@ class ScaleCheck:
             sizes: shapes of vehicles, which measure a calibrated focal length; None = they are not used.
             road_height_m: height with which the motion of the road is measured.
         """
-        self.has_rig, self._camera, self._lane = has_rig, camera, lane
+        self.baseline_m, self._camera, self._lane = baseline_m, camera, lane
         self._height_m = height_m or _HEIGHT_M
         self._has_height = height_m is not None
         height_sigma = _GIVEN_SIGMA if self._has_height else _HEIGHT_SIGMA
@@ -116,7 +117,9 @@ class ScaleCheck:
         self._speed_ratio = CameraHeight(1.0, shared_sigma=_ODOMETRY_SIGMA)  # of stereo odometry and the given speed
         self._given_sigmas: list[float] = []
         self._log_openings: list[float] = []
-        self._shapes = ShapeCheck(camera, sizes) if isinstance(sizes, CuboidSizes) and not focal_sigma else None
+        self._shapes = (
+            ShapeCheck(camera, sizes) if isinstance(sizes, CuboidSizes) and focal_sigma <= _KNOWN_FOCAL else None
+        )
         self._max_mps = 0.0
         self._due_s = -math.inf
         self.doubt: ScaleDoubt | None = None  # the latest finding; None = no contradiction
@@ -161,12 +164,19 @@ class ScaleCheck:
             self._due_s = time_s + _INTERVAL_S
             self.doubt = self._evaluated()
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Messages for the user so far."""
+        if self.doubt is not None:
+            return (self.doubt.sentence(self.baseline_m),)
+        return () if self.baseline_m is None else (self.agreement.sentence,)
+
     def summary(self) -> dict[str, Any]:
         """Sections of summary.json."""
         sections: dict[str, Any] = {}
         if self.doubt is not None:
             sections["scale_doubt"] = {**self.doubt._asdict(), "causes": dict(self.doubt.causes)}
-        if self.has_rig:
+        if self.baseline_m is not None:
             sigma, evidence = self.agreement
             sections["baseline_check"] = {"sigma": sigma if sigma <= SHOWN_SIGMA else None, "evidence": evidence}
         return sections
@@ -241,11 +251,13 @@ class ScaleCheck:
             priors[unknown] = _FREE_SIGMA
             chi2, x, P = self._fitted(evidence, priors)
             sigma = math.sqrt(P[unknown, unknown])
-            if unknown == _RIG and self.has_rig:
+            if unknown == _RIG:
                 self.agreement = Agreement(sigma, names)
             factor = math.exp(x[unknown] if unknown != _HEIGHT else -x[unknown])
             is_known = cause == "baseline" or known_mistakes(cause, factor, sigma)
-            if {_RIG: self.has_rig, _HEIGHT: self._has_height, _SPEED: bool(self._given_sigmas)}.get(unknown, True):
+            if {_RIG: self.baseline_m is not None, _HEIGHT: self._has_height, _SPEED: bool(self._given_sigmas)}.get(
+                unknown, True
+            ):
                 fits.append((chi2 + (0.0 if is_known else _NEARLY), cause, factor, sigma))
         fits.sort()
         least, _, factor, sigma = fits[0]

@@ -41,7 +41,7 @@ def check_of(
     All distances by size are `sizes` times as long as they should be; None = drawn.
     """
     rng = np.random.default_rng(seed)
-    check = ScaleCheck(CAMERA, road_height_m=ROAD_HEIGHT_M, has_rig=rig is not None, **given)
+    check = ScaleCheck(CAMERA, road_height_m=ROAD_HEIGHT_M, baseline_m=None if rig is None else 0.5, **given)
     true_m, own = rng.uniform(10, 40, n), np.exp(rng.normal(0, 0.08, n))
     common = math.exp(rng.normal(0, 0.05)) if sizes is None else sizes
     x_px = rng.uniform(300, 1000, n)

@@ -47,7 +47,7 @@ class FramePipeline:
         self._causes = {
             method.name: causes_of([source.name for source in method.error_sources]) for method in methods()
         }
-        has_rig = self.scale_check is not None and self.scale_check.has_rig
+        has_rig = self.scale_check is not None and self.scale_check.baseline_m is not None
         self._causes["fused"] = causes_of(["baseline"] if has_rig else ["horizon"])
 
     def detected(self, frame: Frame) -> Detected:

@@ -110,7 +110,7 @@ def open_pipeline(
     appearance_notes = () if tracker_options.reid is None else tracker_options.reid.notes
     check = ScaleCheck(
         context.camera,
-        has_rig=context.rig is not None,
+        baseline_m=None if context.rig is None else context.rig.baseline_m,
         region=region,
         height_m=context.camera_height_m,
         focal_sigma=context.focal_sigma,

@@ -355,7 +355,9 @@ class _Opened:
     def notes(self) -> tuple[str, ...]:
         self._apply()
         pair = () if self._monitor is None else self._monitor.notes
-        return (*self.calibration.notes, *pair, *self._sync.notes, *self._stages.notes, *self._stages.ranging.notes())
+        stages, check = self._stages, self._stages.scale_check
+        scale = () if check is None else check.notes
+        return (*self.calibration.notes, *pair, *self._sync.notes, *stages.notes, *stages.ranging.notes(), *scale)
 
     def check_sizes(self, images: Mapping[str, Image]) -> None:
         for (name, image), size_px in zip(images.items(), self._unaligned.sizes_px, strict=True):

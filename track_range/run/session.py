@@ -218,7 +218,6 @@ class RunSession:
     def notes(self) -> list[str]:
         """Messages for the user so far; more may follow during the run."""
         settings, pipeline, n_frames = self.settings, self.pipeline, len(self.rows)
-        doubt, rig = pipeline.scale_doubt, self.recording.rig
         finder, ego = pipeline.detection.lane_finder, pipeline.ego.speed
         odometry = pipeline.ego.odometry if ego is None else None
         lanes = () if finder is None else finder.notes
@@ -236,8 +235,7 @@ class RunSession:
             *([f"Stopped early, after {n_frames} frames."] if self.stopped_by else []),
             *self.frame_notes,
             *(pipeline.ranging.notes() if n_frames else ()),
-            *([] if doubt is None else [doubt.sentence(rig.baseline_m if rig is not None else None)]),
-            *(check.agreement.sentence for check in [pipeline.scale_check] if check and check.has_rig and not doubt),
+            *(pipeline.scale_check.notes if pipeline.scale_check is not None and n_frames else ()),
             # networks that fall back from the same device have the same note
             *(note for note in pipeline.notes if note not in (*boxes, *lanes)),
             *lanes,

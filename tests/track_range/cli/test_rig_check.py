@@ -67,3 +67,26 @@ def test_runs_correct_a_wrong_rig_file(drive, tmp_path, angles):
     assert remaining.offset_px == pytest.approx(applied.offset_px, abs=0.1)
     assert remaining.row_offset_px == pytest.approx(0.0, abs=0.1)
     assert remaining.roll_deg == pytest.approx(0.0, abs=0.03)
+
+
+@pytest.mark.real
+@pytest.mark.parametrize("factor", [1.0, 1.5])
+def test_the_speed_checks_the_baseline(shared_data, tmp_path, cli, factor):
+    drive = shared_data / "kitti_stereo" / "0003"
+    rig, _ = load_rig(drive / "calib.txt", size_px=(1242, 374))
+    save_rig(StereoRig.rectified(rig.left, factor * rig.baseline_m), tmp_path / "rig.yaml")
+    options = ("--rig", tmp_path / "rig.yaml", "--ego-speed", drive / "oxts", "--json", tmp_path / "rig.json")
+    status, printed, _ = cli("rig", "check", "--stereo", drive / "left.mp4", drive / "right.mp4", *options)
+    assert status == 0
+    baseline = json.loads((tmp_path / "rig.json").read_text())["baseline"]
+    assert baseline["baseline_check"]["sigma"] < 0.08
+    assert ("scale_doubt" in baseline) == (factor != 1.0)
+    text = "The baseline agrees with the drive" if factor == 1.0 else "Scale in doubt: the baseline is 1."
+    assert text in printed.replace("\n", " ")
+
+
+def test_a_reference_has_no_speed(cli, drive, tmp_path):
+    options = ("--reference", drive, "--out", tmp_path / "align.yaml", "--ego-speed", "50")
+    status, _, errors = cli("align", *options)
+    assert status == 2
+    assert "--ego-speed" in errors
