@@ -1,13 +1,18 @@
 """Tests of the check that left and right show the same moment, on a vehicle that approaches walls."""
 
 from collections.abc import Iterable
+from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
-from tests.approach import approach
+from tests.approach import SIZE_PX, approach
 from track_range.recording.pairs.sync_monitor import MAX_LAG, SyncMonitor
-from track_range.stereo.geometry.frames import Frame
+from track_range.recording.recording import open_recording
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import Frame, whole_image
+from track_range.stereo.geometry.rig import StereoRig
 
 N = 32
 
@@ -133,3 +138,24 @@ def test_standing_vehicle_is_synchronised() -> None:
 def test_one_camera_is_passed_on() -> None:
     single = [Frame(n, n / 10, np.zeros((9, 9), np.uint8), None) for n in range(20)]
     assert list(SyncMonitor(4).paired(single)) == single
+
+
+def test_recording_with_a_dropped_frame(tmp_path: Path) -> None:
+    right = moments(range(12), range(13, N + 1))
+    for name, numbers in (("left", GOOD), ("right", right)):
+        (tmp_path / name).mkdir()
+        for i, number in enumerate(numbers):
+            path = tmp_path / name / f"{i:06d}.png"
+            cv2.imwrite(str(path), cv2.cvtColor(approach(number, is_right=name == "right"), cv2.COLOR_GRAY2BGR))
+    rig = StereoRig.rectified(PinholeCamera.of_focal_length(400.0, SIZE_PX), 0.5)
+    recording = open_recording(tmp_path / "left", tmp_path / "right", rig=rig, align="off")
+    frames = list(recording.frames)
+    assert [frame.index for frame in frames] == GOOD
+    for frame in (*frames[:12], *frames[24:]):
+        assert frame.right is not None
+        expected = approach(frame.index, is_right=True)
+        assert (whole_image(frame.right)[:, :, 0] == expected).all()
+    (note,) = [note for note in recording.notes if "synchronised" in note]
+    assert "the left video lags by 1 frame" in note
+    assert recording.sync is not None
+    assert [finding["lag_frames"] for finding in recording.sync.summary()["synchronisation"]] == [1]

@@ -76,6 +76,20 @@ def test_mono_rows_are_those_of_a_run(drive: Drive) -> None:
     assert pipeline.alignment is None
 
 
+def test_frozen_right_camera_has_no_stereo(drive: Drive) -> None:
+    pairs = images(drive)
+    with tr.Pipeline.stereo(drive.rig, align="off", **OPTIONS) as pipeline:
+        for i, (left, right) in enumerate(pairs):
+            image = right.image if i < 6 else pairs[5][1].image
+            result = pipeline.step(left.image, image, left.time_s)
+            has_stereo = bool(np.isfinite(result.ranges["stereo"].distance_m).any())
+            assert has_stereo == (i < 6)
+            assert (result.frame.right is None) == (i >= 6)
+    (note,) = [note for note in pipeline.notes if "repeats" in note]
+    assert "The right video" in note
+    assert f"{len(pairs) - 6} frames" in note
+
+
 @pytest.mark.slow
 def test_automatic_alignment_is_unknown_first_and_then_that_of_a_run(long_drive: Drive) -> None:
     with tr.Run.stereo(long_drive.left, long_drive.right, rig=long_drive.rig, **OPTIONS) as run:

@@ -27,6 +27,10 @@ from track_range.stereo.alignment.sync_check import Lag, measured_lag
 from track_range.stereo.geometry.frames import Frame, ImageView, whole_image
 from track_range.stereo.geometry.rectification import RemappedView
 
+Side = Literal["left", "right"]
+Kind = Literal["repeated", "lag", "apart"]
+Action = Literal["stereo off", "re-paired"]
+
 MAX_LAG = 5  # longest lag that is searched, in frames
 _MIN_STEP_S, _STEPS = 0.07, (-1, -2, -3, 1, 2, 3)  # time between the two left images of a measurement, and its frames
 _SAME, _OTHER = 0.4, 0.6  # largest lag in frames of simultaneous images, and smallest one of others
@@ -38,10 +42,7 @@ _N_FAILED = MAX_LAG + 1  # successive checks without a result after which all la
 _CLEAR_RATIO = 0.15  # change of the logarithm of the ratio of right and left changes that is a reason for a check
 
 _N_USUAL, _MIN_USUAL = 15, 3  # number of frames whose median is the usual change
-_REPEATED, _ALWAYS_REPEATED = (
-    0.25,
-    0.03,
-)  # largest change of a repeated image relative to its usual one, or to the other
+_REPEATED, _NEVER_NEW = 0.25, 0.03  # largest change of a repeated image relative to its usual one, or to the other's
 _NOISE, _MIN_CHANGE = 0.3, 1.0  # change of the small images by noise, and the smallest one by motion, grey levels
 
 
@@ -51,11 +52,11 @@ class SyncFinding:
 
     frame: int  # its first frame
     time_s: float
-    side: Literal["left", "right", "both"]  # the side that repeats its image or is late
-    kind: Literal["repeated", "lag", "apart"]  # "apart": no lag of up to `MAX_LAG` frames fits
-    lag_frames: int  # 0 except for lags
+    side: Side  # the side that repeats its image or is late
+    kind: Kind  # "apart": no lag of up to `MAX_LAG` frames fits
+    lag_frames: int
     frames: int  # its length
-    action: Literal["stereo off", "re-paired"]
+    action: Action
 
 
 @dataclass(slots=True)
@@ -107,13 +108,11 @@ class SyncMonitor:
             if is_due and self._credit >= 1 and not any(entry.repeated):
                 self._check(entry)
         ready = []
-        while self._n_waiting > self._n_to_wait():
+        while self._n_waiting > self.n_ahead and (  # the right images of late frames follow
+            not self.n_ahead or self._n_waiting > (self._entries[-self._n_waiting].shift or 0)
+        ):
             ready.append(self._next())
         return ready
-
-    def _n_to_wait(self) -> int:
-        """Number of frames to wait for until the first one that waits is returned."""
-        return self.n_ahead and max(self.n_ahead, self._entries[-self._n_waiting].shift or 0) if self._n_waiting else 0
 
     def _next(self) -> Frame:
         """The first frame that waits, with its right image."""
@@ -131,23 +130,16 @@ class SyncMonitor:
     def _note(self, entry: _Entry, *, is_off: bool) -> None:
         """Add the frame to the findings."""
         before, self._last = self._last, None
-        if not is_off and not entry.shift:
-            return
-        finding = SyncFinding(entry.frame.index, entry.frame.time_s, "both", "apart", 0, 1, "stereo off")
-        if any(entry.repeated):
-            finding = replace(finding, kind="repeated", side="left" if entry.repeated[0] else "right")
-        elif entry.shift:
-            side: Literal["left", "right"] = "right" if entry.shift > 0 else "left"
-            finding = replace(finding, kind="lag", side=side, lag_frames=abs(entry.shift))
-            finding.action = "stereo off" if is_off else "re-paired"
-        if before is not None and all(
-            getattr(before, name) == getattr(finding, name) for name in ("kind", "side", "lag_frames")
-        ):
+        shift, frame = entry.shift or 0, entry.frame
+        if is_off or shift:
+            side: Side = "left" if shift < 0 or entry.repeated[0] else "right"
+            kind: Kind = "repeated" if any(entry.repeated) else "lag" if shift else "apart"
+            if before is None or (before.kind, before.side, before.lag_frames) != (kind, side, abs(shift)):
+                action: Action = "stereo off" if is_off else "re-paired"
+                before = SyncFinding(frame.index, frame.time_s, side, kind, abs(shift), 0, action)
+                self.findings.append(before)
             before.frames += 1
             self._last = before
-            return
-        self.findings.append(finding)
-        self._last = finding
 
     def _compare(self, entry: _Entry, before: _Entry) -> None:
         """Find repeated images, and whether the changes since the frame before are a reason for a check."""
@@ -255,20 +247,19 @@ class SyncMonitor:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Messages for the user so far."""
-        return tuple(_sentence(group) for group in self._groups())
-
-    def _groups(self) -> Iterator[list[SyncFinding]]:
-        """Findings of equal kind, side and lag."""
+        """Messages for the user so far, one for all findings of equal kind, side and lag."""
         groups: dict[tuple[object, ...], list[SyncFinding]] = {}
-        for finding in self.findings:
-            if finding.kind != "apart" or finding.frames >= _N_CONTRADICTING:
-                groups.setdefault((finding.kind, finding.side, finding.lag_frames, finding.action), []).append(finding)
-        yield from groups.values()
+        for finding in self._clear_findings:
+            groups.setdefault((finding.kind, finding.side, finding.lag_frames, finding.action), []).append(finding)
+        return tuple(map(_sentence, groups.values()))
+
+    @property
+    def _clear_findings(self) -> list[SyncFinding]:
+        return [finding for finding in self.findings if finding.kind != "apart" or finding.frames >= _N_CONTRADICTING]
 
     def summary(self) -> dict[str, list[dict[str, Any]]]:
         """The section `synchronisation` of summary.json, if there are findings."""
-        findings = [asdict(finding) for group in self._groups() for finding in group]
+        findings = [asdict(finding) for finding in self._clear_findings]
         return {"synchronisation": findings} if findings else {}
 
 
@@ -282,8 +273,8 @@ def _is_other(lag: Lag | None) -> bool:
 
 def _is_repeated(change: float, usual: float, other: float, other_usual: float, *, is_old: bool) -> bool:
     """Whether one side repeats its image while the other one moves; until it moves again, if it did before."""
-    if usual < _ALWAYS_REPEATED * other_usual:
-        return other_usual > _MIN_CHANGE and change < _ALWAYS_REPEATED * other_usual
+    if usual < _NEVER_NEW * other_usual:
+        return other_usual > _MIN_CHANGE and change < _NEVER_NEW * other_usual
     other_moves = other > max(_MIN_CHANGE, other_usual / 2) and usual > _MIN_CHANGE
     return change < _REPEATED * usual and (other_moves or is_old)
 
