@@ -8,6 +8,7 @@ over time from the last position.
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -30,6 +31,7 @@ _BORDER_PX = 8  # minimum distance of a point from the image border, px
 _COARSE_RANGE_PX = 80  # number of disparities searched in the half-size images; twice as many in full pixels
 _COARSE_MIN_PX = -8  # smallest of them: a wrong vergence of 0.5 degrees makes disparities of far points negative
 _UNKNOWN_PX = 5.0  # initial disparity where the coarse map has none, px
+_MAX_LOG_GAIN = 0.15  # largest difference of the contrasts of left and right that is left as it is
 _STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 20, 0.01)  # iterations of Lucas-Kanade, and step in px
 
 
@@ -79,7 +81,7 @@ class FeatureTracks:
 
     def add(self, left: Image, right: Image, time_s: float = 0.0) -> TrackedFrame:
         """Track the points into the next frame, rectified (H, W) grey or (H, W, 3) BGR, and add new corners."""
-        left, right = grey(left), grey(right)
+        left, right = grey(left), _as_bright(grey(right), grey(left))
         flow_px, fraction_tracked = 0.0, 1.0
         if self._before is not None and len(self._left_px):
             moved, is_tracked = _flow(self._before, left, self._left_px, self._left_px, _LEVELS)
@@ -136,6 +138,14 @@ def row_offset_px(left: Image, right: Image) -> float | None:
     """Median y_right - y_left of the points of a pair, (H, W) or (H, W, 3) each; None with too few points."""
     rows_px = FeatureTracks().add(left, right).points.row_offsets_px
     return float(np.median(rows_px)) if len(rows_px) >= MIN_ROWS else None
+
+
+def _as_bright(image: Image, other: Image) -> Image:
+    """The image with the brightness of the other one, if that differs much: Lucas-Kanade compares grey levels."""
+    factor = float(other.std()) / max(float(image.std()), 1.0)
+    if abs(math.log(max(factor, 1e-3))) < _MAX_LOG_GAIN:
+        return image
+    return np.asarray(cv2.convertScaleAbs(image, alpha=factor, beta=0.0), np.uint8)
 
 
 def _new_corners(left: Image, free: Image, n_corners: int) -> list[FloatArray32]:

@@ -9,8 +9,9 @@
     residual_px: 0.21
     slope_px: 0.16                  + slope_px u
     slope_sigma_px: 0.05
-    roll_deg: -0.02                 right camera relative to the rig: roll and focal length
+    roll_deg: -0.02                 right camera relative to the rig: roll, focal length and a large yaw
     focal_ratio: 1.0004
+    yaw_deg: 0
     source: this drive, 32 frames
 
 Missing keys have the values of an alignment that was not measured.
@@ -33,7 +34,7 @@ _VERSION = 1
 _VERSION_KEY = "track_range_align"
 
 _MAX_PX = 100.0  # largest plausible value of a calibrated pair; larger values are in other units
-_MAX_ROLL_DEG, _MAX_FOCAL_RATIO = 10.0, 1.2  # largest plausible errors of the right camera's roll and focal length
+_MAX_ROLL_DEG, _MAX_FOCAL_RATIO = 10.0, 1.2  # largest plausible errors of the right camera's angles and focal length
 
 _Offset = Annotated[Number, Field(ge=-_MAX_PX, le=_MAX_PX)]
 _Sigma = Annotated[Number, Field(ge=0, le=_MAX_PX)]
@@ -52,6 +53,7 @@ class _AlignmentFile(BaseModel):
     slope_sigma_px: _Sigma = 0.0
     roll_deg: Annotated[Number, Field(ge=-_MAX_ROLL_DEG, le=_MAX_ROLL_DEG)] = 0.0
     focal_ratio: Annotated[Number, Field(ge=1 / _MAX_FOCAL_RATIO, le=_MAX_FOCAL_RATIO)] = 1.0
+    yaw_deg: Annotated[Number, Field(ge=-_MAX_ROLL_DEG, le=_MAX_ROLL_DEG)] = 0.0
     source: str | None = None
 
 

@@ -39,13 +39,14 @@ _SPREADS = 2.0  # remaining error at an object / spread of the strips: from 36 c
 # offset is 0.013 px in the median and 0.05 px at most, while estimates from strips and times agree within 0.011 px.
 PIXEL_LOCKING_PX = 0.02
 _MIN_RESIDUAL_PX = 0.05  # lower limit of the remaining error, px
+NOT_MEASURED = Alignment()
 
 
 class DriveAlignment:
-    """Estimates the alignment of a rig from the frames of one or several drives."""
+    """Estimates the alignment of a rig from the frames of one or several drives, which `prior` has corrected."""
 
-    def __init__(self, rig: StereoRig) -> None:
-        self._rig = rig  # of the rectified frames
+    def __init__(self, rig: StereoRig, prior: Alignment = NOT_MEASURED) -> None:
+        self._rig, self._prior = rig, prior  # of the rectified frames
         self._segments: list[tuple[int, tuple[float, float], Segment]] = []
         self._reasons: list[str] = []
         self._matched: list[PairPoints] = []
@@ -110,13 +111,19 @@ class DriveAlignment:
         contains the reason; the row offset is estimated in any case.
         """
         self._close()
-        view = self._measured_view()
-        rows = Alignment(row_offset_px=view.row_offset_px, roll_deg=view.roll_deg, focal_ratio=view.focal_ratio)
+        view, prior = self._measured_view(), self._prior
+        rows = replace(
+            prior,
+            row_offset_px=prior.row_offset_px + view.row_offset_px,
+            roll_deg=prior.roll_deg + view.roll_deg,
+            focal_ratio=prior.focal_ratio * view.focal_ratio,
+        )
         if not self._segments:
             reason = max(self._reasons, key=self._reasons.count) if self._reasons else "no stereo frames"
             return replace(rows, source=f"not enough data in this drive ({reason})")
         combined = estimated_errors([segment for *_, segment in self._segments])
         offset_px, curvature_px, slope_px = combined.error_px.tolist()
+        offset_px += prior.shift_px
         offset_sigma_px, curvature_sigma_px, slope_sigma_px = combined.sigma_px.tolist()
         if not offset_sigma_px <= _MAX_SIGMA_PX:
             reason = f"offset {offset_px:+.2f} px with a standard deviation of {offset_sigma_px:.2f} px"
@@ -140,7 +147,8 @@ class DriveAlignment:
         if not self._segments:
             return ()
         known_px = estimated_errors([segment for *_, segment in self._segments]).error_px
-        return tuple(Window(drive, *span_s, *offset_of(segment, known_px)) for drive, span_s, segment in self._segments)
+        windows = (Window(drive, *span_s, *offset_of(segment, known_px)) for drive, span_s, segment in self._segments)
+        return tuple(window._replace(offset_px=window.offset_px + self._prior.shift_px) for window in windows)
 
     def _begin_drive(self) -> None:
         self._n_segments_left, self._n_frames_left, self._n_static = _MAX_SEGMENTS, _MAX_FRAMES, 0

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -77,7 +77,8 @@ class RigHealth:
     @property
     def has_row_error(self) -> bool:
         """Whether corresponding points have different rows."""
-        return RightView.of(self.measured).rows_px(self.rig.left) > MAX_ROW_OFFSET_PX
+        view = replace(RightView.of(self.measured), yaw_deg=0.0)  # a yaw is an error of the disparities
+        return view.rows_px(self.rig.left) > MAX_ROW_OFFSET_PX
 
     @property
     def has_disparity_error(self) -> bool:
@@ -85,7 +86,7 @@ class RigHealth:
         if not self.measured.is_measured:
             return False
         m, u = self.measured, COLUMNS_U
-        error_px = np.abs(m.error_px(u))
+        error_px = np.abs(self._error_px)
         sigma_px = np.sqrt(m.offset_sigma_px**2 + (m.slope_sigma_px * u) ** 2 + (m.curvature_sigma_px * u**2) ** 2)
         return bool(((error_px > _MIN_SIGMAS * sigma_px) & (error_px > _MIN_FRACTION * self.matters_px)).any())
 
@@ -113,7 +114,7 @@ class RigHealth:
     def before_pct(self, distance_m: float) -> FloatArray:
         """(3,) expected error in per cent at `COLUMNS_U` as calibrated, positive = too far; NaN = not measurable."""
         d = self._fb / distance_m
-        measured_px = d - self.measured.error_px(COLUMNS_U)
+        measured_px = d - self._error_px
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(measured_px > 0, 100 * (d / measured_px - 1), np.nan)
 
@@ -178,6 +179,14 @@ class RigHealth:
             f"Rig: moved at about {move.time_s:.1f} s, disparities by {change} ({pct:.1f} % at {REFERENCE_M:.0f} m); "
             "fix the cameras."
         )
+
+    @property
+    def _error_px(self) -> FloatArray:
+        """(3,) d_true - d_measured at `COLUMNS_U` as calibrated, with a large yaw of the right camera."""
+        camera = self.rig.left
+        x = COLUMNS_U * camera.width_px / 2 / camera.fx_px
+        yaw_px = camera.fx_px * math.tan(math.radians(self.measured.yaw_deg)) * (1 + x**2)
+        return self.measured.error_px(COLUMNS_U) - yaw_px
 
     @property
     def _fb(self) -> float:

@@ -69,6 +69,7 @@ class Alignment:
     # rotation of the right camera about its optical axis relative to the rig, degrees, clockwise positive
     roll_deg: float = 0.0
     focal_ratio: float = 1.0  # focal length of the right camera relative to the rig
+    yaw_deg: float = 0.0  # rotation of the right camera about its vertical axis, degrees; 0 unless it is large
     source: str = "not measured"  # origin of the estimate, for the user
 
     def corrected(
@@ -118,7 +119,8 @@ class Alignment:
 
     def withheld(self) -> Alignment:
         """The alignment without its correction of disparities, which becomes part of the residual."""
-        residual_px = min(float(np.hypot(self.offset_px, self.residual_px)), UNCORRECTED_SIGMA_PX)
+        largest_px = max(UNCORRECTED_SIGMA_PX, self.offset_sigma_px)
+        residual_px = min(float(np.hypot(self.offset_px, self.residual_px)), largest_px)
         return replace(self, offset_px=0.0, curvature_px=0.0, slope_px=0.0, residual_px=residual_px)
 
     @property
@@ -154,25 +156,26 @@ class RightView:
         y_right - y_left = f (-roll X + pitch (1 + Y^2) - yaw X Y + ln(ratio) Y)       X, Y: right point / f
 
     with rotation angles about the axes x (pitch), y (yaw), z (roll). In a rectified pair corresponding points have
-    equal rows, so all four angles and the ratio are visible in a single pair. The yaw is fitted, but not used: in real
-    lenses residual distortion has the same form (on a KITTI drive it would be 0.5 degrees, and the disparities
-    disagree).
+    equal rows, so all four angles and the ratio are visible in a single pair. A small yaw is not used: in real lenses
+    residual distortion has the same form (on a KITTI drive it would be 0.5 degrees, and the disparities disagree).
     """
 
     row_offset_px: float = 0.0  # y_right - y_left in the middle of the image
     roll_deg: float = 0.0  # rotation about the optical axis
     focal_ratio: float = 1.0  # true focal length divided by that of the rig
+    yaw_deg: float = 0.0  # rotation about the vertical axis; 0 unless it is large
 
     @classmethod
     def of(cls, alignment: Alignment) -> RightView:
         """The view of an alignment."""
-        return cls(alignment.row_offset_px, alignment.roll_deg, alignment.focal_ratio)
+        return cls(alignment.row_offset_px, alignment.roll_deg, alignment.focal_ratio, alignment.yaw_deg)
 
     def rows_px(self, camera: PinholeCamera) -> float:
         """Root mean square of y_right - y_left over the image."""
         roll_px = math.radians(self.roll_deg) * camera.width_px / math.sqrt(12)
         focal_px = (self.focal_ratio - 1) * camera.height_px / math.sqrt(12)
-        return math.hypot(self.row_offset_px, roll_px, focal_px)
+        yaw_px = math.radians(self.yaw_deg) * camera.width_px * camera.height_px / (12 * camera.fx_px)
+        return math.hypot(self.row_offset_px, roll_px, focal_px, yaw_px)
 
     def if_needed(self, camera: PinholeCamera) -> RightView:
         """The view if rows differ by more than 0.3 px, else that of a right camera without errors."""
@@ -181,7 +184,7 @@ class RightView:
     def matrix(self, camera: PinholeCamera) -> FloatArray:
         """(3, 3) M from directions in the rectified right image to corrected ones."""
         pitch_rad = math.atan(self.row_offset_px / camera.fx_px)
-        rotation = cv2.Rodrigues(np.array([pitch_rad, 0.0, math.radians(self.roll_deg)]))[0]
+        rotation = cv2.Rodrigues(np.array([pitch_rad, math.radians(self.yaw_deg), math.radians(self.roll_deg)]))[0]
         return np.asarray(rotation @ np.diag([1 / self.focal_ratio, 1 / self.focal_ratio, 1.0]), np.float64)
 
     def corrected(self, right_px: FloatArray, camera: PinholeCamera) -> FloatArray:
@@ -191,8 +194,10 @@ class RightView:
         return camera.project(camera.rays(right_px) @ self.matrix(camera).T)
 
 
-def fit_right_view(left_px: FloatArray, right_px: FloatArray, camera: PinholeCamera) -> RightView:
-    """The right view from matched points (N, 2) of one or several rectified pairs."""
+def fit_right_view(
+    left_px: FloatArray, right_px: FloatArray, camera: PinholeCamera, *, has_yaw: bool = False
+) -> RightView:
+    """The right view from matched points (N, 2) of one or several rectified pairs; without its yaw by default."""
     rows_px = right_px[:, 1] - left_px[:, 1]
     step = len(rows_px) // _MAX_POINTS + 1
     rows_px, right_px = rows_px[::step], right_px[::step]
@@ -209,8 +214,8 @@ def fit_right_view(left_px: FloatArray, right_px: FloatArray, camera: PinholeCam
         residual = rows_px - design @ solution
         scale_px = max(mad_sigma(residual), 1e-3)
         weight = 1 / (1 + (residual / (_CAUCHY_SIGMAS * scale_px)) ** 2)
-    pitch_rad, roll_rad, log_ratio, _ = solution.tolist()
-    view = RightView(median_px, math.degrees(roll_rad), math.exp(log_ratio))
+    pitch_rad, roll_rad, log_ratio, yaw_rad = solution.tolist()
+    view = RightView(median_px, math.degrees(roll_rad), math.exp(log_ratio), math.degrees(yaw_rad) if has_yaw else 0.0)
     if view.rows_px(camera) <= MAX_ROW_OFFSET_PX:
         return view
-    return RightView(f * math.tan(pitch_rad), view.roll_deg, view.focal_ratio)
+    return replace(view, row_offset_px=f * math.tan(pitch_rad))

@@ -43,18 +43,27 @@ class _UndistortedImages:
 
     recorded_size_px: tuple[int, int]  # (width, height) of the images of the video
     _view: _View | None  # None = the images are those of the video
+    is_turned = False  # whether the images of the video are turned by 180 degrees first
+
+    def _turned(self, xy_px: FloatArray) -> FloatArray:
+        """Points (N, 2) or boxes (N, 4) of the video as in its images turned back, and the reverse."""
+        if not self.is_turned:
+            return xy_px
+        last_px = np.array(self.recorded_size_px, np.float64) - 1
+        return last_px - xy_px if xy_px.shape[1] == 2 else np.tile(last_px, 2) - xy_px[:, [2, 3, 0, 1]]
 
     def left_boxes(self, xyxy_px: FloatArray) -> FloatArray:
         """Boxes (N, 4) in pixels of the left video -> of its undistorted images: each edge moves like its midpoint."""
+        xyxy_px = self._turned(xyxy_px)
         return xyxy_px if self._view is None else _moved_boxes(xyxy_px, self._view.points)
 
     def recorded_points(self, xy_px: FloatArray) -> FloatArray:
         """Points (N, 2) in pixels of the undistorted left images -> of the left video; NaN where not imaged."""
-        return xy_px if self._view is None else self._view.recorded_points(xy_px)
+        return self._turned(xy_px if self._view is None else self._view.recorded_points(xy_px))
 
     def recorded_boxes(self, xyxy_px: FloatArray) -> FloatArray:
         """Boxes (N, 4) in pixels of the undistorted left images -> of the left video; inverse of `left_boxes`."""
-        return xyxy_px if self._view is None else self._view.recorded_boxes(xyxy_px)
+        return self._turned(xyxy_px if self._view is None else self._view.recorded_boxes(xyxy_px))
 
     def recorded_outlines(self, xyxy_px: FloatArray) -> FloatArray:
         """(N, 4 N_OUTLINE, 2) closed outlines of boxes (N, 4) of the undistorted images, in pixels of the video."""
@@ -88,6 +97,7 @@ class Rectifier(_UndistortedImages):
         right_correction: FloatArray | None = None,
         shift_px: float = 0.0,
         fov_deg: float | None = None,
+        is_turned: bool = False,
         source: object = "the rig",
     ) -> None:
         """Compute the remapping.
@@ -101,12 +111,14 @@ class Rectifier(_UndistortedImages):
             shift_px: horizontal shift of the right image to the left, which increases all disparities.
             fov_deg: horizontal field of view to which the images of wide lenses are undistorted; None = that of the
                 left lens, up to 120 degrees.
+            is_turned: whether both videos are turned by 180 degrees against the rig.
             source: file of the rig, for messages.
 
         Raises:
             RigError: the rig is implausible, the cameras are not side by side, or one of them is upside down.
         """
         check_rig(rig, source)
+        self.is_turned = is_turned
         self.recorded_size_px, self._right_size_px = rig.left.size_px, rig.right.size_px
         if rig.is_rectified:
             self.rig, self._view, right_view = rig, None, _View(rig.right, np.eye(3), rig.right.matrix)
@@ -128,6 +140,8 @@ class Rectifier(_UndistortedImages):
         """
         _check_size(left, self.recorded_size_px, "left")
         _check_size(right, self._right_size_px, "right")
+        if self.is_turned:
+            left, right = (np.asarray(cv2.rotate(image, cv2.ROTATE_180), np.uint8) for image in (left, right))
         if self._right_blur_px:
             right = np.asarray(cv2.GaussianBlur(right, (0, 0), self._right_blur_px), np.uint8)
         return (

@@ -6,21 +6,33 @@ open the videos -> find and check the calibration -> check and align with the fi
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Generator, Sequence
 from contextlib import ExitStack, closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 
 from track_range.foundation.progress import StepProgress, no_progress
 from track_range.recording.bags.bag import is_bag
-from track_range.recording.cameras.calibration import LensView, RecordingCalibration, Video, find_calibration
+from track_range.recording.cameras.calibration import (
+    LensView,
+    RecordingCalibration,
+    Video,
+    assumed_rig,
+    find_calibration,
+)
 from track_range.recording.frame import VideoError
 from track_range.recording.live.address import LiveAddress
 from track_range.recording.live.live_video import LiveVideo
 from track_range.recording.names import BagTopic, VideoName, video_name
 from track_range.recording.open_video import open_video
-from track_range.recording.pairs.auto_alignment import ESTIMATION_SPAN_S, find_alignment
+from track_range.recording.pairs.auto_alignment import (
+    ESTIMATION_SPAN_S,
+    PairAlignment,
+    find_alignment,
+    given_alignment,
+)
 from track_range.recording.pairs.live_pair import LivePair
 from track_range.recording.pairs.pair_monitor import MAX_CHECKED_PAIRS, PairMonitor
 from track_range.recording.pairs.recorded_pair import RecordedPair
@@ -32,6 +44,7 @@ from track_range.recording.utc import UtcStart, parsed_utc
 from track_range.stereo.alignment.drift import DriftMonitor
 from track_range.stereo.alignment.from_drive import MIN_STEP_S
 from track_range.stereo.alignment.model import Alignment, AlignmentSource
+from track_range.stereo.alignment.pair_finding import PairFinding
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
@@ -39,7 +52,7 @@ from track_range.stereo.geometry.rig import StereoRig
 PairedVideos = RecordedPair | LivePair
 Monitor = PairMonitor | SyncMonitor | DriftMonitor  # a check that receives each frame once, in order of time
 
-_N_ROW_PAIRS = 3  # conclusive image pairs from which the row offset of an uncalibrated pair is estimated
+_UNSTEADY = "not measured, since rows of left and right change, as in images of different times"
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +78,7 @@ class Recording:
 
     @property
     def rig(self) -> StereoRig | None:
-        """The rectified pair with its alignment; None = one camera, or a pair without calibration."""
+        """The rectified pair with its alignment; None = one camera, or a pair without a rig that fits its images."""
         return self.calibration.rig
 
     @property
@@ -203,20 +216,20 @@ def open_recording(
         calibration = find_calibration(left, videos, rig=given_rig, focal_px=focal_px, view=view)
         monitors: tuple[Monitor, ...] = ()
         if isinstance(source, VideoPair) and calibration.rig is not None:
-            checks = (PairMonitor(),) if has_checks else ()
-            calibration = _aligned(calibration, calibration.rig, source, align, checks, progress)
-            monitors = *checks, *(_sync_monitors(source) if has_checks else ()), *_drift_monitors(calibration, source)
+            check = PairMonitor(calibration.rig) if has_checks else None
+            calibration = _aligned(calibration, calibration.rig, source, align, check, progress)
+            monitors = () if check is None else (check,)
+            if has_checks and calibration.rig is not None:
+                monitors += _sync_monitors(source)
+            monitors += _drift_monitors(calibration, source)
         elif isinstance(source, VideoPair):
-            row_monitor = PairMonitor(n_conclusive=_N_ROW_PAIRS)
-            with closing(source.read_ahead()) as images:
-                first_s = source.left.first_time_s
-                frames = (calibration.frame(*pair, first_s) for pair in islice(images, MAX_CHECKED_PAIRS))
-                for frame in _sync_monitors(source)[0].paired(frames):
-                    row_monitor.add(frame)
-                    if row_monitor.is_done:
-                        break
-            calibration = calibration.with_row_offsets(row_monitor.row_offsets_px)
-            monitors = _sync_monitors(source) if row_monitor.row_offsets_px else ()
+            check = PairMonitor(assumed_rig(calibration.camera))
+            with closing(_first_frames(calibration, source, check)) as first_frames:
+                deque(islice(first_frames, MAX_CHECKED_PAIRS), maxlen=0)
+            check.finish()
+            if check.row_offset_px is not None:
+                calibration = calibration.with_row_offset(check.row_offset_px)
+                monitors = _sync_monitors(source)
         on_error.pop_all()
     return Recording(_frames(source, calibration, monitors, utc), source, calibration, monitors, utc)
 
@@ -254,16 +267,30 @@ def _aligned(
     rig: StereoRig,
     pair: PairedVideos,
     align: str | Path | Alignment,
-    checks: tuple[PairMonitor, ...],
+    check: PairMonitor | None,
     progress: StepProgress,
 ) -> RecordingCalibration:
-    """A calibrated pair with its alignment; the first image pair is checked even if no alignment is estimated."""
-    with closing(_first_frames(calibration, pair, checks)) as first_frames:
-        alignment = find_alignment(align, rig, first_frames, progress)
-        if align != "auto" and checks:
-            next(first_frames, None)
-    for check in checks:
-        check.corrected_px = alignment.measured.row_correction_px
+    """A calibrated pair with its alignment and what `check` repairs; without its rig if the images do not fit it."""
+    given = given_alignment(align, rig)
+    started = calibration if given is None else calibration.with_alignment(given)
+    with closing(_first_frames(started, pair, check)) as first_frames:
+        alignment = find_alignment(given or "auto", rig, first_frames, progress)
+        if given is not None and check is not None:
+            deque(islice(first_frames, MAX_CHECKED_PAIRS), maxlen=0)
+    finding = None if check is None else check.finish()
+    if check is None or finding is None:
+        return calibration.with_alignment(alignment)
+    if not finding.has_stereo or (given is not None and finding.fault == "verged"):
+        return replace(calibration, rig=None)
+    if finding.fault == "turned":
+        calibration = calibration.turned()
+    if given is None and finding.fault == "unsteady":
+        alignment = PairAlignment(measured=Alignment(source=_UNSTEADY), is_applied=False, rig=rig)
+    elif given is None and finding != PairFinding("fits") and finding.fault != "unknown":
+        corrected = calibration.with_alignment(PairAlignment(measured=finding.prior, is_applied=True, rig=rig))
+        with closing(_first_frames(corrected, pair, check)) as first_frames:
+            alignment = find_alignment("auto", rig, first_frames, progress, prior=finding.prior)
+    check.corrected_px = alignment.measured.row_correction_px
     return calibration.with_alignment(alignment)
 
 
@@ -280,17 +307,17 @@ def _sync_monitors(pair: PairedVideos) -> tuple[SyncMonitor]:
 
 
 def _first_frames(
-    calibration: RecordingCalibration, pair: PairedVideos, checks: tuple[PairMonitor, ...]
+    calibration: RecordingCalibration, pair: PairedVideos, check: PairMonitor | None
 ) -> Generator[Frame, None, None]:
-    """Frames of the first seconds at the interval that the alignment needs; `checks` also receive those in between."""
+    """Frames of the first seconds at the interval that the alignment needs; with `check`, paired anew and checked."""
     first_s, last_s = math.nan, -math.inf
     with closing(pair.read_ahead()) as images:
         frames = (calibration.frame(left, right, pair.left.first_time_s) for left, right in images)
-        for frame in _sync_monitors(pair)[0].paired(frames) if checks else frames:
+        for frame in frames if check is None else _sync_monitors(pair)[0].paired(frames):
             first_s = frame.time_s if math.isnan(first_s) else first_s
-            for check in checks:
-                check.add(frame)
             if frame.time_s - last_s >= MIN_STEP_S:
+                if check is not None:
+                    check.add(frame)
                 last_s = frame.time_s
                 yield frame
             if frame.time_s - first_s > ESTIMATION_SPAN_S:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from numbers import Real
 from pathlib import Path
 from types import TracebackType
@@ -42,6 +43,7 @@ from track_range.run.settings import PipelineOptions, RunSettings
 from track_range.run.settings_files import options_and_objects, pipeline_options
 from track_range.stereo.alignment.file import load_alignment
 from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.alignment.pair_finding import PairFinding
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.geometry.rig_checks import check_camera
@@ -335,9 +337,11 @@ class _Opened:
         stepwise: StepwiseAlignment | None,
     ) -> None:
         self._unaligned, self.calibration, self._stages, self._stepwise = unaligned, aligned, stages, stepwise
-        self._monitor = None if stepwise is None else PairMonitor()
+        rig = unaligned.rig
+        self._monitor = None if stepwise is None or rig is None else PairMonitor(rig)
         self._sync = SyncMonitor()
         # The alignment for the next frame is estimated while the caller waits for that frame.
+        self._is_given, self._has_stereo = stepwise is not None and stepwise.current is not None, True
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="alignment")
         self._pending: Future[PairAlignment | None] | None = None
 
@@ -369,8 +373,11 @@ class _Opened:
         self._apply()
         recorded = self.calibration.frame_of(images, index, time_s)
         (frame,) = self._sync.add(recorded)
-        if self._monitor is not None:
+        if self._monitor is not None and self._monitor.finding is None:
             self._monitor.add(frame)
+            self._repair(self._monitor.finding)
+        if not self._has_stereo:
+            frame = replace(frame, right=None)
         result = self._stages.step(self._stages.detected(frame), known)
         if self._stepwise is not None and self._stepwise.is_active and frame is recorded:
             unaligned = frame  # the alignment is estimated without the correction of rows and shifts
@@ -378,6 +385,19 @@ class _Opened:
                 unaligned = self._unaligned.frame_of(images, index, time_s)
             self._pending = self._thread.submit(self._stepwise.add, unaligned, frame)
         return result
+
+    def _repair(self, finding: PairFinding | None) -> None:
+        """Apply the explanation of the first pairs from the next frame on, but leave out stereo from this one on."""
+        if finding is None or self._stepwise is None:
+            return
+        self._has_stereo = finding.has_stereo and (finding.fault != "verged" or not self._is_given)
+        if finding.fault == "turned":
+            self._unaligned, self.calibration = self._unaligned.turned(), self.calibration.turned()
+        if self._has_stereo and not self._is_given and finding.fault in ("verged", "turned"):
+            self._pending = None
+            self._stepwise.restart(finding.prior)
+            if self._stepwise.current is not None:
+                self._unaligned = self.calibration = self._unaligned.with_alignment(self._stepwise.current)
 
     def _apply(self) -> None:
         """Use the alignment that was estimated since the last frame."""

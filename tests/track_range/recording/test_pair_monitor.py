@@ -1,4 +1,4 @@
-"""Tests of the checks of pairs: swapped videos, vertical offset."""
+"""Tests of the check of a pair's first images: which frames are used, its messages and its end."""
 
 from functools import cache
 
@@ -7,91 +7,81 @@ import numpy as np
 import pytest
 
 from track_range.recording.pairs.pair_monitor import MAX_CHECKED_PAIRS, PairMonitor
+from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
-from track_range.stereo.geometry.rig import RigError
+from track_range.stereo.geometry.rig import RigError, StereoRig
 
-SIZE_PX = (480, 260)
-
-
-@cache
-def texture():
-    noise = np.random.default_rng(7).normal(size=(320, 700))
-    return cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 1.5), None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+WIDTH_PX, HEIGHT_PX = 480, 260
+RIG = StereoRig.rectified(PinholeCamera(400.0, 400.0, 239.5, 129.5, WIDTH_PX, HEIGHT_PX), 0.5)
 
 
 @cache
-def wall(number, *, shift_px, row_px=0):
-    """Image of a textured wall that the vehicle approaches."""
-    scale = 1.05**number
-    transform = np.array([[scale, 0, 250 - scale * 350 - shift_px], [0, scale, 130 - scale * 160 + row_px]])
-    return cv2.warpAffine(texture(), transform, SIZE_PX)
+def road(sign, row_px=0):
+    """Image of a wall above a road: disparities of 8 px grow downwards below the middle, half of them per side."""
+    noise = np.random.default_rng(7).normal(size=(HEIGHT_PX, 700))
+    texture = cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 1.5), None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+    shift_px = 100 + sign * np.round(4 + 0.1 * np.maximum(np.arange(HEIGHT_PX) - HEIGHT_PX / 2, 0)).astype(int)
+    image = np.stack([row[start : start + WIDTH_PX] for row, start in zip(texture, shift_px.tolist(), strict=True)])
+    return np.roll(image, row_px, axis=0)
 
 
-def frames(n, *, shift_px=10, **more):
+def frames(n, *, step_s=1.0, row_px=0, is_swapped=False):
     for number in range(n):
-        left = wall(number, shift_px=0)
-        yield Frame(number, number / 10, left, wall(number, shift_px=shift_px, **more))
+        left, right = road(-1), road(1, row_px)
+        yield Frame(number, number * step_s, *((right, left) if is_swapped else (left, right)))
 
 
-def notes_of(frames, *monitors):
+def blank(n):
+    grey = np.zeros((HEIGHT_PX, WIDTH_PX), np.uint8)
+    return [Frame(number, float(number), grey, grey) for number in range(n)]
+
+
+def notes_of(frames, monitor):
     for frame in frames:
-        for monitor in monitors:
-            monitor.add(frame)
-    return tuple(note for monitor in monitors for note in monitor.notes)
+        monitor.add(frame)
+    return monitor.notes
 
 
 def test_good_pair_has_no_notes():
-    assert notes_of(frames(24), PairMonitor()) == ()
+    monitor = PairMonitor(RIG)
+    assert notes_of(frames(MAX_CHECKED_PAIRS), monitor) == ()
+    assert monitor.finding.fault == "fits"
+    assert monitor.row_offset_px == 0.0
 
 
 def test_row_offset_is_reported_unless_corrected():
-    monitor = PairMonitor()
-    (note,) = notes_of(frames(3, row_px=5), monitor)
-    assert "+5.0 px" in note
-    monitor.corrected_px = 4.0
+    monitor = PairMonitor(RIG)
+    (note,) = notes_of(frames(MAX_CHECKED_PAIRS, row_px=5), monitor)
+    assert "Vertical offset of +" in note
+    assert monitor.row_offset_px == pytest.approx(5.0, abs=0.2)
+    monitor.corrected_px = 4.5
     assert monitor.notes == ()
 
 
-def test_swapped_pair_is_an_error():
+def test_swapped_pair_is_an_error_at_the_end_of_the_check():
+    monitor = PairMonitor(RIG)
+    assert notes_of(frames(MAX_CHECKED_PAIRS - 1, is_swapped=True), monitor) == ()
     with pytest.raises(RigError, match="swapped"):
-        notes_of(frames(3, shift_px=-10), PairMonitor())
+        monitor.finish()
 
 
-@pytest.mark.parametrize("n_conclusive", [1, 3])
-def test_number_of_conclusive_pairs(n_conclusive):
-    monitor = PairMonitor(n_conclusive=n_conclusive)
-    notes_of(frames(n_conclusive), monitor)
-    assert monitor.is_done
-    assert len(monitor.row_offsets_px) == n_conclusive
-    swapped = Frame(9, 0.9, wall(0, shift_px=0), wall(0, shift_px=-10))
-    assert notes_of([swapped], monitor) == ()
+def test_a_frame_is_checked_if_it_is_due():
+    monitor = PairMonitor(RIG)
+    assert notes_of(frames(40, step_s=0.02), monitor) == ()
+    assert monitor.finding is None
+    assert monitor._evidence.n_pairs == 2  # at 0 and 0.1 s; without motion the next one is due 0.8 s later
 
 
-def test_ten_pairs_are_checked():
-    blank = [Frame(n, n / 10, np.zeros((260, 480), np.uint8), np.zeros((260, 480), np.uint8)) for n in range(10)]
-    swapped = Frame(10, 1.0, wall(0, shift_px=0), wall(0, shift_px=-10))
-    assert len(blank) == MAX_CHECKED_PAIRS
-    (note,) = notes_of([*blank, swapped], PairMonitor())
+def test_pairs_without_texture_are_reported():
+    monitor = PairMonitor(RIG)
+    (note,) = notes_of(blank(MAX_CHECKED_PAIRS), monitor)
     assert "too few" in note
-    with pytest.raises(RigError):
-        notes_of([*blank[:9], swapped], PairMonitor())
-
-
-def test_each_frame_is_checked_once():
-    monitor = PairMonitor()
-    blank = Frame(3, 0.3, np.zeros((260, 480), np.uint8), np.zeros((260, 480), np.uint8))
-    assert notes_of([blank] * 20, monitor) == ()
-    assert not monitor.is_done
-
-
-def test_pairs_without_common_points_are_reported():
-    rng = np.random.default_rng(1)
-    images = rng.integers(0, 255, (13, 2, 120, 160), np.uint8)
-    pairs = (Frame(i, i / 10, left, right) for i, (left, right) in enumerate(images))
-    (note,) = notes_of(pairs, PairMonitor())
-    assert "too few" in note
+    assert monitor.row_offset_px is None
+    assert notes_of(frames(3, is_swapped=True), monitor) == (note,)  # the check has ended
 
 
 def test_one_camera_is_not_checked():
-    single = [Frame(n, n / 10, np.zeros((9, 9), np.uint8), None) for n in range(20)]
-    assert notes_of(single, PairMonitor()) == ()
+    single = [Frame(n, float(n), np.zeros((9, 9), np.uint8), None) for n in range(20)]
+    monitor = PairMonitor(RIG)
+    assert notes_of(single, monitor) == ()
+    assert monitor.finish() is None

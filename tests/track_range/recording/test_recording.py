@@ -34,6 +34,18 @@ def write_view(folder: Path, shift_px: int, *, n=3, size_px=(WIDTH_PX, HEIGHT_PX
     return folder
 
 
+def write_road(folder: Path, sign: int, *, n=3) -> Path:
+    """Write images of a road below the middle, on which disparities grow downwards, and of a wall above."""
+    noise = np.random.default_rng(0).integers(0, 255, (HEIGHT_PX, 700, 3), np.uint8)
+    wall = cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 1.5), None, 0, 255, cv2.NORM_MINMAX)
+    shift_px = 100 + sign * np.round(4 + 0.1 * np.maximum(np.arange(HEIGHT_PX) - HEIGHT_PX / 2, 0)).astype(int)
+    image = np.stack([row[start : start + WIDTH_PX] for row, start in zip(wall, shift_px.tolist(), strict=True)])
+    folder.mkdir(parents=True)
+    for number in range(n):
+        cv2.imwrite(str(folder / f"{number:06d}.png"), image)
+    return folder
+
+
 @pytest.fixture
 def pair(tmp_path):
     save_rig(StereoRig.rectified(CAMERA, 0.5), tmp_path / "rig.yaml")
@@ -55,9 +67,19 @@ def test_size_differs_by_one_row(pair, tmp_path):
     assert frame.left.shape == frame.right.shape == (HEIGHT_PX - 1, WIDTH_PX, 3)
 
 
-def test_swapped_pair_is_an_error(pair):
+def test_swapped_pair_is_an_error(tmp_path):
+    rig = StereoRig.rectified(CAMERA, 0.5)
+    left, right = write_road(tmp_path / "left", -1), write_road(tmp_path / "right", 1)
+    assert open_recording(left, right, rig=rig).rig is not None
     with pytest.raises(RigError, match="swapped"):
-        open_recording(*pair[::-1], rig=pair[0].parent / "rig.yaml")
+        open_recording(right, left, rig=rig)
+
+
+def test_negative_disparities_without_a_reason_are_not_ranged(pair):
+    recording = open_recording(*pair[::-1], rig=pair[0].parent / "rig.yaml")
+    (note,) = (note for note in recording.notes if "does not fit" in note)
+    assert recording.rig is None
+    assert all(cause in note for cause in ("swapped", "upside down", "turned"))
 
 
 def test_row_offset_is_corrected_and_reported(pair, tmp_path):
@@ -127,7 +149,7 @@ def test_uncalibrated_rows_corrected_or_stereo_off(pair, tmp_path):
     grey = cv2.cvtColor(frame.left, cv2.COLOR_BGR2GRAY).astype(int)
     difference = np.abs(grey[8:-8, SHIFT_PX:] - whole_image(frame.right)[8:-8, :-SHIFT_PX])
     assert np.median(difference) <= 4
-    assert any("+4.0 px" in note and "corrected" in note for note in recording.notes)
+    assert any("Vertical offset of +" in note and "corrected" in note for note in recording.notes)
     rotated = tmp_path / "rotated"
     rotated.mkdir()
     middle = ((WIDTH_PX - 1) / 2, (HEIGHT_PX - 1) / 2)
@@ -160,10 +182,10 @@ def test_uncertain_focal_length_of_a_file(pair, tmp_path):
     recording.close()
 
 
-def test_swapped_uncalibrated_pair_is_an_error(pair, tmp_path):
-    (tmp_path / "rig.yaml").unlink()
+def test_swapped_uncalibrated_pair_is_an_error(tmp_path):
+    left, right = write_road(tmp_path / "left", -1), write_road(tmp_path / "right", 1)
     with pytest.raises(RigError, match="swapped"):
-        open_recording(*pair[::-1])
+        open_recording(right, left)
 
 
 def test_one_camera(pair):
@@ -279,9 +301,11 @@ def test_alignment_given(pair):
     assert recording.monitors == ()
 
 
-def test_files_are_closed_when_opening_fails(pair, tmp_path, film):
-    left, right = films(tmp_path / "films", film)
+def test_files_are_closed_when_opening_fails(tmp_path, film):
+    for side, sign in (("left", -1), ("right", 1)):
+        image = cv2.imread(str(write_road(tmp_path / side, sign) / "000000.png"))
+        film(tmp_path / f"{side}.mp4", [0.0, 0.1, 0.2], images=[image] * 3)
     before = len(list(Path("/proc/self/fd").iterdir()))
     with pytest.raises(RigError, match="swapped"):
-        open_recording(right, left)
+        open_recording(tmp_path / "right.mp4", tmp_path / "left.mp4", focal_px=300.0)
     assert len(list(Path("/proc/self/fd").iterdir())) == before

@@ -153,7 +153,7 @@ class RecordingCalibration:
     @property
     def assumed_rig(self) -> StereoRig | None:
         """An uncalibrated pair that can be matched, with an assumed baseline; None = any other recording."""
-        return None if self.row_offset_px is None else _assumed_rig(self.camera)
+        return None if self.row_offset_px is None else assumed_rig(self.camera)
 
     @property
     def has_wide_lens(self) -> bool:
@@ -195,19 +195,24 @@ class RecordingCalibration:
                 self.raw_rig,
                 right_correction=view.matrix(self.camera),
                 shift_px=shift_px,
+                is_turned=rectifier.is_turned,
                 fov_deg=self.view.fov_deg,
                 source=self.path or "the rig",
             )
         rig = None if self.rig is None else replace(self.rig, alignment=alignment.correction)
         return replace(self, rig=rig, rectifier=rectifier, alignment=alignment)
 
-    def with_row_offsets(self, row_offsets_px: list[float]) -> RecordingCalibration:
-        """A copy of an uncalibrated pair with the median row offset of its first frames; an empty list = unknown."""
-        if not row_offsets_px:
+    def turned(self) -> RecordingCalibration:
+        """A copy for videos that are both turned by 180 degrees against the rig."""
+        if self.raw_rig is None:
             return self
-        row_px = float(np.median(row_offsets_px))
+        rectifier = Rectifier(self.raw_rig, fov_deg=self.view.fov_deg, is_turned=True, source=self.path or "the rig")
+        return replace(self, rectifier=rectifier)
+
+    def with_row_offset(self, row_px: float) -> RecordingCalibration:
+        """A copy of an uncalibrated pair with the row offset of its first frames."""
         row_px = row_px if abs(row_px) > MAX_ROW_OFFSET_PX else 0.0
-        rig = _assumed_rig(self.raw_camera or self.camera)
+        rig = assumed_rig(self.raw_camera or self.camera)
         return replace(self, rectifier=Rectifier(rig, row_offset_px=row_px), row_offset_px=row_px)
 
     def with_focal_length(self, guess: FocalGuess) -> RecordingCalibration:
@@ -301,7 +306,7 @@ def _without_file(
     return RecordingCalibration(
         kind="focal length" if is_exact else "estimated",
         camera=camera,
-        rectifier=Rectifier(_assumed_rig(stored)) if is_pair else Undistorter(stored),
+        rectifier=Rectifier(assumed_rig(stored)) if is_pair else Undistorter(stored),
         sizes_px=sizes_px,
         raw_camera=stored,
         guesses=guesses,
@@ -429,6 +434,6 @@ def _pixel_notes(recorded: PinholeCamera, shown: PinholeCamera, aspect: float) -
     )
 
 
-def _assumed_rig(camera: PinholeCamera) -> StereoRig:
+def assumed_rig(camera: PinholeCamera) -> StereoRig:
     """Two cameras of this model at an assumed baseline, which does not affect the rectification."""
     return StereoRig.rectified(camera, _ASSUMED_BASELINE_M)

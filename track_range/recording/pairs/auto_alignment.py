@@ -12,7 +12,7 @@ from typing import Any
 from track_range.foundation.progress import StepProgress, no_progress
 from track_range.stereo.alignment.drift import DriftingAlignment, DriftMonitor
 from track_range.stereo.alignment.file import load_alignment
-from track_range.stereo.alignment.from_drive import MIN_FRAMES, DriveAlignment
+from track_range.stereo.alignment.from_drive import MIN_FRAMES, NOT_MEASURED, DriveAlignment
 from track_range.stereo.alignment.health import RigHealth
 from track_range.stereo.alignment.model import Alignment, AlignmentSource
 from track_range.stereo.geometry.frames import Frame
@@ -98,6 +98,7 @@ class PairAlignment:
             "slope_px": round(measured.slope_px, 4),
             "roll_deg": round(measured.roll_deg, 4),
             "focal_ratio": round(measured.focal_ratio, 6),
+            "yaw_deg": round(measured.yaw_deg, 4),
             "health": None if self.health is None else self.health.to_dict(),
         }
 
@@ -118,16 +119,18 @@ def find_alignment(
     rig: StereoRig,
     frames: Generator[Frame, None, None],
     progress: StepProgress = no_progress,
+    *,
+    prior: Alignment = NOT_MEASURED,
 ) -> PairAlignment:
     """The alignment of a calibrated pair: a given one, or "auto" = estimated from the drive's first frames.
 
-    Of `frames`, the rectified ones of the first `ESTIMATION_SPAN_S`, as many are read as the estimation needs. A
-    RigError means that a file cannot be used; errors of `frames` are passed on.
+    Of `frames`, the rectified ones of the first `ESTIMATION_SPAN_S`, which `prior` has corrected, as many are read as
+    the estimation needs. A RigError means that a file cannot be used; errors of `frames` are passed on.
     """
     if (given := given_alignment(align, rig)) is not None:
         return given
     began_s = time.perf_counter()
-    drive, first_s = DriveAlignment(rig), math.nan
+    drive, first_s = DriveAlignment(rig, prior), math.nan
     with progress("estimating the alignment") as advance:
         for frame in frames:
             first_s = frame.time_s if math.isnan(first_s) else first_s
@@ -148,14 +151,20 @@ class StepwiseAlignment:
     def __init__(self, rig: StereoRig, given: PairAlignment | None = None) -> None:
         """Start with frames rectified to `rig`; an alignment that is given stays as it is."""
         self.current = given  # the alignment that is applied; None = not estimated yet
-        self._rig = rig
+        self._rig, self._prior = rig, NOT_MEASURED
         self._drift: DriftMonitor | None = None
         self._start()
         self._is_final = given is not None
 
+    def restart(self, prior: Alignment) -> None:
+        """Start again with frames that `prior` has corrected, which is applied until the next estimate."""
+        self.current = PairAlignment(measured=prior, is_applied=True, rig=self._rig)
+        self._prior, self._drift = prior, None
+        self._start()
+
     def _start(self) -> None:
         """Look for the first frames in motion."""
-        self._drive, self._moving_s, self._is_final = DriveAlignment(self._rig), math.nan, False
+        self._drive, self._moving_s, self._is_final = DriveAlignment(self._rig, self._prior), math.nan, False
         self._n_estimates = self._n_static = 0
 
     @property

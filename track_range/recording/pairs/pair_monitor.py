@@ -1,64 +1,84 @@
-"""PairMonitor: checks the first pairs of a run for swapped videos and a vertical offset."""
+"""PairMonitor: explains the first pairs of a run; see `stereo.alignment.pair_finding`."""
 
 from __future__ import annotations
 
-from track_range.stereo.alignment.pair_checks import check_pair
+import math
+from dataclasses import replace
+
+from track_range.stereo.alignment.from_drive import MIN_STEP_S
+from track_range.stereo.alignment.model import RightView
+from track_range.stereo.alignment.pair_evidence import PairEvidence
+from track_range.stereo.alignment.pair_finding import PairFinding, find_fault
 from track_range.stereo.geometry.frames import Frame, whole_image
-from track_range.stereo.geometry.rig import RigError
+from track_range.stereo.geometry.rig import RigError, StereoRig
 
-MAX_CHECKED_PAIRS = 10  # largest number of pairs that are checked for swapped cameras; fewer if enough are conclusive
-
-_MAX_ROW_OFFSET_PX = 1.5
-"""Vertical offset above which the user is warned; feature positions are whole pixels, so one pair cannot show smaller
-offsets."""
+MAX_CHECKED_PAIRS = 10  # largest number of pairs that are checked
+_N_PAIRS = 7  # number of pairs that are enough in motion
+_MIN_FLOW_PX = 3.0  # median motion from which the camera moves
+_WAIT_S = 0.8  # time after a pair without motion
 
 _UNMATCHED = (
     f"The rig could not be checked: left and right have too few matching points in equal rows in the first "
     f"{MAX_CHECKED_PAIRS} pairs; check that the two videos and the rig belong together."
 )
+_MIN_ROW_FRACTION = 0.5  # of the matches of an uncalibrated pair that has equal rows
+_MAX_ROW_OFFSET_PX = 1.5  # vertical offset above which the user is warned if it is not corrected
 
 
 class PairMonitor:
-    """Checks the first pairs, up to `n_conclusive` conclusive ones, for swapped cameras, and measures row offsets."""
+    """Checks the first pairs, which are rectified to `rig`, and explains what does not fit."""
 
-    def __init__(self, *, n_conclusive: int = 1) -> None:
-        self.row_offsets_px: list[float] = []  # mean of y_right - y_left of matching points, one per conclusive pair
+    def __init__(self, rig: StereoRig) -> None:
+        self.finding: PairFinding | None = None  # None = not known yet
         self.corrected_px = 0.0  # row offset that is corrected in the frames after the check
-        self._n_conclusive = n_conclusive
-        self._n_checked, self._last_index = 0, -1
-        self._is_unmatched = False
-
-    @property
-    def is_done(self) -> bool:
-        """Whether the check has ended."""
-        return len(self.row_offsets_px) >= self._n_conclusive or self._n_checked >= MAX_CHECKED_PAIRS
+        self.view = RightView()  # rows of the right camera
+        self._row_fraction = 0.0
+        self._rig, self._evidence = rig, PairEvidence(rig.left)
+        self._next_s, self._n_moving = -math.inf, 0
 
     def add(self, frame: Frame) -> None:
-        """Check a frame if it is new and the check has not ended; raises RigError if left and right are swapped."""
-        if frame.right is None or frame.index <= self._last_index:
+        """Check a frame, if it is due; raises RigError with the last one if left and right are swapped."""
+        if self.finding is not None or frame.right is None or frame.time_s < self._next_s:
             return
-        if self.is_done:
-            self._is_unmatched = not self.row_offsets_px
-            return
-        check = check_pair(frame.left, whole_image(frame.right))
-        if check.is_swapped:
-            raise RigError(
-                f"left and right are swapped: {100 * check.negative_fraction:.0f} % of {check.n_matches} matched "
-                "points have a negative disparity; swap the two videos."
-            )
-        self._last_index = frame.index
-        self._n_checked += 1
-        if check.is_conclusive:
-            self.row_offsets_px.append(check.row_offset_px)
+        self._evidence.add(frame.left, whole_image(frame.right))
+        is_moving = self._evidence.flow_px > _MIN_FLOW_PX
+        self._n_moving += is_moving
+        is_next = is_moving or self._evidence.n_pairs < 2
+        self._next_s = frame.time_s + (0.99 * MIN_STEP_S if is_next else _WAIT_S)
+        n_pairs = self._evidence.n_pairs
+        if n_pairs >= MAX_CHECKED_PAIRS or (n_pairs >= _N_PAIRS and self._n_moving >= _N_PAIRS // 2):
+            self.finish()
+
+    def finish(self) -> PairFinding | None:
+        """The explanation of the pairs so far, None without any; no other pair will be checked."""
+        if self.finding is None and self._evidence.n_pairs:
+            figures = self._evidence.figures()
+            self.finding, self.view = find_fault(figures, self._rig), figures.view
+            self._row_fraction = figures.row_fraction
+            if self.finding.fault == "swapped":
+                raise RigError(self.finding.sentence)
+        return self.finding
+
+    @property
+    def row_offset_px(self) -> float | None:
+        """The vertical offset that makes rows of an uncalibrated pair equal; None = there is none."""
+        if self.finding is None or self.finding.fault not in ("fits", "verged", "unsteady"):
+            return None
+        is_shift = replace(self.view, row_offset_px=0.0).rows_px(self._rig.left) <= _MAX_ROW_OFFSET_PX
+        if self.finding.fault == "unsteady":
+            return 0.0 if self._row_fraction >= _MIN_ROW_FRACTION else None
+        return self.view.row_offset_px if is_shift else None
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Messages for the user so far."""
-        if self._is_unmatched:
-            return (_UNMATCHED,)
-        row_px = self.row_offsets_px[0] - self.corrected_px if self.row_offsets_px else 0.0
-        if abs(row_px) <= _MAX_ROW_OFFSET_PX:
+        if self.finding is None:
             return ()
+        if self.finding.fault == "unknown":
+            return (_UNMATCHED,)
+        row_px = self.view.row_offset_px - self.corrected_px
+        if self.finding.sentence or self.finding.fault == "unsteady" or abs(row_px) <= _MAX_ROW_OFFSET_PX:
+            return tuple(filter(None, [self.finding.sentence]))
         return (
             f"Vertical offset of {row_px:+.1f} px between left and right: the rig does not fit these videos well, so "
             "stereo distances are less accurate; calibrate again.",

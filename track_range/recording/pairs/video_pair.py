@@ -22,7 +22,7 @@ Pair = tuple[VideoFrame, VideoFrame]
 
 
 class VideoPair(ABC, Generic[V]):
-    """Pairs of frames of two videos; the first ones may be read once before the iteration, and are not decoded twice.
+    """Pairs of frames of two videos; the first ones may be read before the iteration, and are not decoded twice.
 
     The buffer always holds one pair. If more than `max_ahead_bytes` are needed, it is dropped and reading restarts:
     recorded videos from their start, live ones with the next pair. Times differ by at most `tolerance_s`.
@@ -34,6 +34,7 @@ class VideoPair(ABC, Generic[V]):
         self.tolerance_s = tolerance_s
         self._max_bytes = max_ahead_bytes
         self._unread: Generator[Pair, None, None] | None = None
+        self._n_bytes = 0  # of the buffer
         self._ahead: deque[tuple[Callable[[], VideoFrame], Callable[[], VideoFrame]]] = deque()
 
     @property
@@ -46,13 +47,14 @@ class VideoPair(ABC, Generic[V]):
         """The pairs, read from the start of recorded videos, or from the newest frames of live ones."""
 
     def read_ahead(self) -> Generator[Pair, None, None]:
-        """The first pairs, until the caller stops; to be called at most once, before the iteration."""
-        unread, n_bytes, is_full = self.pairs(), 0, False
+        """The first pairs, until the caller stops, before the iteration; a later call starts with them again."""
+        yield from ((left(), right()) for left, right in tuple(self._ahead))
+        unread, is_full = self._unread or self.pairs(), False
         self._unread = unread
         try:
             for left, right in unread:
-                n_bytes += left.n_packed_bytes + right.n_packed_bytes
-                is_full |= bool(self._ahead) and n_bytes > self._max_bytes
+                self._n_bytes += left.n_packed_bytes + right.n_packed_bytes
+                is_full |= bool(self._ahead) and self._n_bytes > self._max_bytes
                 if is_full:
                     self._ahead.clear()
                 else:
@@ -61,7 +63,7 @@ class VideoPair(ABC, Generic[V]):
         finally:
             if is_full:
                 unread.close()
-                self._unread = None
+                self._unread, self._n_bytes = None, 0
 
     def __iter__(self) -> Generator[Pair, None, None]:
         unread, self._unread = self._unread or self.pairs(), None

@@ -1,0 +1,225 @@
+"""find_fault: the explanation of the figures of a pair, and what follows for a run.
+
+    fits       as the rig says                           verged     a constant error of the disparities: corrected
+    swapped    left and right exchanged: an error        turned     both images upside down: turned back
+    unsteady   rows change: not simultaneous, a matter of `recording.pairs.sync_monitor`
+    refused    another explanation, or several: no stereo           unknown    too few matches
+
+Two votes decide whether left and right are exchanged: the motion of the camera, and the road, on which disparities grow
+downwards below the horizon, more regularly than those of trees and houses grow upwards above it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from track_range.stereo.alignment.from_drive import NOT_MEASURED
+from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.alignment.pair_evidence import Motion, PairFigures
+from track_range.stereo.geometry.rig import StereoRig
+
+Fault = Literal["fits", "verged", "swapped", "turned", "unsteady", "refused", "unknown"]
+
+_MIN_TRACKED = 100  # matches of successive left images from which a pair without matches is one of different scenes
+_MAX_UNRELATED = 0.05  # largest ratio of agreeing matches to those, or half of that to matches, of images that differ
+_MAX_CHANCE = 0.3  # largest ratio of matches between different scenes to those
+_MIN_AGREEING = 60  # minimum number of agreeing matches of all pairs
+_MIN_FRACTION = 0.6  # minimum fraction of the matches that agree in rows
+_STEADY_FRACTION, _STEADY_PX = 0.7, 0.25  # of rows: smallest agreeing fraction, largest change between pairs
+_EQUAL_PX, _EQUAL_FRACTION = 1.5, 0.95  # largest disparity without parallax, and the fraction that has none
+_MAX_HEIGHT_M = 3.5  # height of the cameras up to which points on the road must have more disparity
+_LEAD = 1.15  # minimum ratio of the supports of two explanations
+_MIN_GROUND, _GROUND_LEAD = 0.5, 0.1  # minimum correlation of the half of the image with the road, and its lead
+# Disparity that no rig has, and the fractions of such points from which the order is doubted, and which needs a reason.
+_NEGATIVE_PX, _MIN_EXCHANGED, _MAX_NEGATIVE = -3.0, 0.3, 0.1
+_MIN_SUPPORT = 0.25  # smallest support of an offset
+_MIN_OFFSET_PX, _MIN_SIGMAS = 5.0, 4.0  # smallest error of the disparities that is corrected here
+_MODEL_PX = 2.0  # standard deviation of the offset from other errors than noise
+# Smallest yaw that is not residual distortion, and one that rows show clearly, with the smallest ratios of the supports
+# of motion with and without it; largest ratio of the offsets with and without it.
+_YAW_ERROR_DEG = 0.7  # largest error of the yaw from rows
+_MIN_YAW_DEG, _CLEAR_YAW_DEG, _SMALL_YAW, _CLEAR_YAW, _MAX_REST = 0.5, 1.5, 1.05, 0.8, 0.6
+_MIN_ROWS_PX = 1.5  # smallest error of rows that is corrected here
+_ARRANGED = {
+    "turned": "upside down (turned by 180 degrees)",
+    "mirrored": "mirrored left to right",
+    "flipped": "mirrored upside down",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class PairFinding:
+    """The explanation of a pair."""
+
+    fault: Fault
+    sentence: str = ""  # for the user: what was found, and what to do; empty = nothing to say
+    prior: Alignment = NOT_MEASURED  # correction of the images with which the alignment starts
+
+    @property
+    def has_stereo(self) -> bool:
+        """Whether the pair can be ranged."""
+        return self.fault not in ("swapped", "refused")
+
+
+def find_fault(figures: PairFigures, rig: StereoRig) -> PairFinding:
+    """The explanation of the figures of pairs that are rectified to `rig`."""
+    n_agreeing = len(figures.left_px)
+    if figures.is_late:
+        return PairFinding("unsteady")
+    n_tracked = figures.n_tracked * figures.n_pairs
+    if n_agreeing < _MAX_UNRELATED * min(n_tracked, 2 * figures.n_matches) and figures.n_tracked >= _MIN_TRACKED:
+        few = f"{_pct(n_agreeing / figures.n_matches)} of {figures.n_matches} points that match are in consistent rows"
+        if figures.n_matches > _MAX_CHANCE * n_tracked:
+            return _refused(
+                f"{few}: the rig is another one, a camera has turned, or left and right are of different times; check "
+                "the rig and the videos, or calibrate again"
+            )
+        return _refused(
+            f"{few}, and successive left images have {figures.n_tracked:.0f} matches each: the videos show different "
+            "scenes or times, or one camera is covered; check the names of the videos"
+        )
+    if n_agreeing < _MIN_AGREEING or figures.row_fraction < _MIN_FRACTION:
+        return PairFinding("unknown" if n_agreeing < _MIN_AGREEING else "unsteady")
+    if figures.row_fraction < _STEADY_FRACTION or figures.row_change_px > _STEADY_PX:
+        return PairFinding("unsteady")
+    if _is_without_parallax(figures, rig):
+        return _refused(
+            f"{100 * _EQUAL_FRACTION:.0f} % or more of {n_agreeing} matched points have no disparity, near and far "
+            "ones: left and right come from one camera; give the videos of both cameras"
+        )
+    exchanged, is_upright = _exchange(figures, rig)
+    if figures.arrangement != "equal":
+        return _arranged(figures, exchanged)
+    if exchanged:
+        return _exchanged(figures, rig, is_upright)
+    return _verged(figures, rig) if exchanged is not None else _contradictory(figures, rig)
+
+
+def _refused(reason: str) -> PairFinding:
+    only = "Distances come from the left video alone."
+    return PairFinding("refused", f"The rig does not fit these images: {reason}. {only}")
+
+
+def _is_without_parallax(figures: PairFigures, rig: StereoRig) -> bool:
+    """Whether near points have the disparities of far ones, 0."""
+    d = figures.disparity_px
+    height_px = figures.left_px[:, 1] - rig.left.cy_px
+    is_near = rig.baseline_m * height_px / _MAX_HEIGHT_M > 2 * _EQUAL_PX
+    is_equal = np.abs(d) < _EQUAL_PX
+    if is_near.sum() < _MIN_AGREEING / 2:
+        return False
+    return bool(min(is_equal.mean(), is_equal[is_near].mean()) >= _EQUAL_FRACTION)
+
+
+def _exchange(figures: PairFigures, rig: StereoRig) -> tuple[bool | None, bool | None]:
+    """Whether left and right are exchanged, None = contradictory; whether the road is below; None = unknown."""
+    above, below = figures.ground
+    is_below, is_above = (
+        abs(one) >= _MIN_GROUND and abs(one) > abs(other) + _GROUND_LEAD
+        for one, other in ((below, above), (above, below))
+    )
+    by_ground = (below < 0 if is_below else above > 0) if is_below or is_above else None
+    is_upright = is_below if is_below or is_above else None
+    is_negative = float((figures.disparity_px < _NEGATIVE_PX).mean()) > _MIN_EXCHANGED
+    motion = _best(figures, rig)
+    by_motion = None
+    if motion is not None:
+        own, other = motion.support, max(m.exchanged_support for m in (figures.motion, figures.turned_motion) if m)
+        by_motion = True if other > _LEAD * own else False if own > _LEAD * other else None
+    votes = {vote for vote in (by_motion, by_ground) if vote is not None}
+    if not is_negative:
+        return False, is_upright
+    return (votes.pop() if len(votes) == 1 else None), is_upright
+
+
+def _best(figures: PairFigures, rig: StereoRig) -> Motion | None:
+    """The motion with or without the yaw that rows show: a small one must explain the disparities better."""
+    plain, turned, yaw_deg = figures.motion, figures.turned_motion, abs(figures.view.yaw_deg)
+    if plain is None or turned is None or yaw_deg < _MIN_YAW_DEG:
+        return plain
+    largest_px = max(rig.left.fx_px * math.tan(math.radians(_YAW_ERROR_DEG)), _MIN_SIGMAS * turned.sigma_px)
+    if abs(turned.offset_px) > largest_px:
+        return plain
+    is_better = turned.support > (_CLEAR_YAW if yaw_deg >= _CLEAR_YAW_DEG else _SMALL_YAW) * plain.support
+    is_explained = abs(turned.offset_px) < _MAX_REST * abs(plain.offset_px) and _is_offset(plain)
+    return turned if is_better or is_explained else plain
+
+
+def _is_offset(motion: Motion) -> bool:
+    """Whether the offset is large and significant."""
+    return motion.support > _MIN_SUPPORT and abs(motion.offset_px) > max(_MIN_OFFSET_PX, _MIN_SIGMAS * motion.sigma_px)
+
+
+def _arranged(figures: PairFigures, exchanged: bool | None) -> PairFinding:
+    how = _ARRANGED[figures.arrangement]
+    which = "one of the two videos" if exchanged is None else "the left video" if exchanged else "the right video"
+    return _refused(
+        f"{100 * figures.row_fraction:.0f} % of {figures.n_matches} points match if {which} is {how}; correct {which}"
+    )
+
+
+def _exchanged(figures: PairFigures, rig: StereoRig, is_upright: bool | None) -> PairFinding:
+    found = _negative(figures, rig)
+    if is_upright is False:
+        where = "and near points are at the top of the images; turned back."
+        return PairFinding("turned", f"Both videos are upside down (turned by 180 degrees): {found}, {where}")
+    other = "if both are mirrored, mirror them instead" if is_upright else "or turn both, if they are upside down"
+    return PairFinding("swapped", f"left and right are swapped: {found}; swap the two videos ({other}).")
+
+
+def _contradictory(figures: PairFigures, rig: StereoRig) -> PairFinding:
+    causes = "left and right are swapped, both are upside down, or a camera has turned"
+    return _refused(f"{_negative(figures, rig)}: {causes}; check the videos, or record some seconds in motion")
+
+
+def _negative(figures: PairFigures, rig: StereoRig) -> str:
+    """The evidence of negative disparities."""
+    negative, motion = float((figures.disparity_px < 0).mean()), _best(figures, rig)
+    text = f"{_pct(negative)} of {len(figures.left_px)} matched points have a negative disparity"
+    if motion is None:
+        return text
+    own, other = _pct(motion.support), _pct(motion.exchanged_support)
+    return f"{text}, and their motion fits swapped videos at {other} of the points, a turned camera at {own}"
+
+
+def _verged(figures: PairFigures, rig: StereoRig) -> PairFinding:
+    """A pair in the right order: whether its disparities or rows have a large error."""
+    motion, view = _best(figures, rig), replace(figures.view, yaw_deg=0.0)
+    is_yaw = motion is not None and motion is figures.turned_motion and motion is not figures.motion
+    prior = NOT_MEASURED
+    if view.rows_px(rig.left) > _MIN_ROWS_PX:
+        prior = Alignment(row_offset_px=view.row_offset_px, roll_deg=view.roll_deg, focal_ratio=view.focal_ratio)
+    if motion is None or not (is_yaw or _is_offset(motion)):
+        negative = float((figures.disparity_px < _NEGATIVE_PX).mean())
+        return _contradictory(figures, rig) if negative > _MAX_NEGATIVE else PairFinding("fits", prior=prior)
+    sigma_px, yaw_deg, offset_px = math.hypot(_MODEL_PX, motion.sigma_px), 0.0, motion.offset_px
+    size = "large" if offset_px > 0 else "small"
+    what = f"disparities are {abs(offset_px):.0f} px too {size}, as with shifted images or a turned camera"
+    if is_yaw:  # it explains rows and most of the offset; the rest is within its uncertainty, or that of the motion
+        rest_px = offset_px if _MIN_SIGMAS * motion.sigma_px < _MIN_OFFSET_PX else 0.0
+        yaw_deg = figures.view.yaw_deg + math.degrees(math.atan(rest_px / rig.left.fx_px))
+        sigma_px = math.hypot(sigma_px, abs(offset_px) / 2)
+        offset_px = 0.0
+        what = f"the right camera is turned by {-yaw_deg:+.1f} degrees about its vertical axis"
+    prior = replace(
+        prior,
+        offset_px=-offset_px,
+        yaw_deg=yaw_deg,
+        offset_sigma_px=sigma_px,
+        residual_px=sigma_px,
+        source=f"the first {figures.n_pairs} pairs",
+    )
+    support = (
+        f"motion fits at {_pct(motion.support)} of {motion.n_points} points, swapped videos at "
+        f"{_pct(motion.exchanged_support)}"
+    )
+    sentence = f"The rig does not fit these images: {what} ({support}); corrected, but calibrate again."
+    return PairFinding("verged", sentence, prior)
+
+
+def _pct(fraction: float) -> str:
+    return f"{100 * fraction:.0f} %"
