@@ -141,9 +141,9 @@ class PairEvidence:
         size_px = (self._camera.width_px, self._camera.height_px)
         if self._factor > 1:
             left, right = (
-                np.asarray(cv2.resize(grey(one), size_px, interpolation=cv2.INTER_AREA)) for one in (left, right)
+                np.asarray(cv2.resize(grey(image), size_px, interpolation=cv2.INTER_AREA), np.uint8)
+                for image in (left, right)
             )
-        left, right = np.asarray(grey(left), np.uint8), np.asarray(grey(right), np.uint8)
         features = _features(left)
         if self._lefts:
             self._add_step(self._lefts[-1], features)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,9 +17,10 @@ from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import real_path
 from track_range.foundation.files.output_files import check_outputs, write_text
 from track_range.foundation.progress import StepProgress, no_progress
+from track_range.recording.recording import open_recording
 from track_range.stereo.alignment.feature_tracks import row_offset_px
 from track_range.stereo.alignment.file import save_alignment
-from track_range.stereo.alignment.from_drive import DriveAlignment
+from track_range.stereo.alignment.from_drive import NOT_MEASURED, DriveAlignment
 from track_range.stereo.alignment.from_reference import fit_reference
 from track_range.stereo.alignment.health import UNSEEN, RigHealth, Window
 from track_range.stereo.alignment.model import Alignment
@@ -155,14 +156,15 @@ def _from_drives(
         raise UsageError("expected a drive or a reference: give --stereo LEFT RIGHT, --drive DIR or --reference FILE.")
     with ExitStack() as opened:
         recordings, rigs = [], []
+        prior, notes = _prior(*sources[0], settings.rig)
         for left, right in sources:
-            recording, rig = open_pair(left, right, settings.rig, has_checks=True)
+            recording, rig = open_pair(left, right, settings.rig, align=prior, has_checks=True)
             opened.callback(recording.close)
             recordings.append(recording)
             rigs.append(rig)
         if any(rig.left != rigs[0].left or not np.isclose(rig.baseline_m, rigs[0].baseline_m) for rig in rigs[1:]):
             raise RigError("the drives were recorded with different rigs; align each rig separately.")
-        estimator = DriveAlignment(rigs[0])
+        estimator = DriveAlignment(rigs[0], prior)
         with progress("frames") as advance:
             for recording in recordings:
                 estimator.start_drive()
@@ -178,11 +180,19 @@ def _from_drives(
     # in the alignment file, "this drive" would be ambiguous
     names = ", ".join(real_path(left.parent).name if left.name == LEFT else left.name for left, _ in sources)
     named = replace(measured, source=measured.source.replace("this drive", names))
-    notes = dict.fromkeys(note for recording in recordings for note in recording.calibration.file_notes)
-    aligned = RigAlignment.of(rigs[0], named, notes, estimator.windows())
+    notes += tuple(note for recording in recordings for note in recording.calibration.file_notes)
+    notes += tuple(note for recording in recordings if recording.sync is not None for note in recording.sync.notes)
+    aligned = RigAlignment.of(rigs[0], named, dict.fromkeys(notes), estimator.windows())
     if check_baseline is None or not settings.checks_baseline:
         return aligned
     return replace(aligned, baseline=check_baseline(sources[0], settings))
+
+
+def _prior(left: Path, right: Path, rig: Path | None) -> tuple[Alignment, tuple[str, ...]]:
+    """The correction with which the estimate starts, from the first images, and a note on how they fit the rig."""
+    with closing(open_recording(left, right, rig=rig, align="off")) as recording:
+        finding = recording.finding
+    return (NOT_MEASURED, ()) if finding is None else (finding.prior, tuple(filter(None, [finding.sentence])))
 
 
 def _from_reference(reference: Path, settings: AlignmentSettings, progress: StepProgress) -> RigAlignment:

@@ -112,7 +112,10 @@ def open_pair(
     """
     recording = open_recording(left, right, rig=rig, align=align, has_checks=has_checks)
     if recording.rig is None:
+        finding = recording.finding
         recording.close()
+        if finding is not None:
+            raise RigError(f"{left}: {finding.sentence}")
         raise RigError(f"{left}: no rig.yaml or calib.txt next to it; give the calibration file with --rig FILE.")
     return recording, recording.rig
 

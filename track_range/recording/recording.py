@@ -117,6 +117,11 @@ class Recording:
         return self.start_utc or self.videos[0].utc
 
     @property
+    def finding(self) -> PairFinding | None:
+        """How the first images fit the rig; None = no pair, without checks, or not known yet."""
+        return next((monitor.finding for monitor in self.monitors if isinstance(monitor, PairMonitor)), None)
+
+    @property
     def sync(self) -> SyncMonitor | None:
         """The check that left and right show the same moment; None = no pair, or without checks."""
         return next((monitor for monitor in self.monitors if isinstance(monitor, SyncMonitor)), None)
