@@ -3,7 +3,7 @@
 Features (ORB) are matched between left and right, also with the right image mirrored, and between successive left
 images. The disparities d of the matches are compared with inverse depths r from the motion of the left camera:
 
-    r = beta (d - o)        beta > 0: as the rig says, with an error o of all disparities, as a wrong vergence has
+    r = beta (d - o)        beta > 0: as in the rig, with an error o of all disparities, as of a wrong vergence
                             beta < 0: left and right are exchanged
 
 The error o is that with which most points of all steps agree; points are in front of the camera, so that r >= 0.
@@ -249,11 +249,11 @@ class PairEvidence:
         agreement = {}
         for shift in range(-_MAX_SHIFT, _MAX_SHIFT + 1):
             firsts = [i for i in range(n) if 0 <= i + shift < n]
-            found = [
+            counts = [
                 _pair(self._lefts[i], self._rights[i + shift], self._camera.size_px).n_in_band(_ROW_PX)
                 for i in firsts[:: len(firsts) // _N_SHIFTED + 1]
             ]
-            agreement[shift] = float(np.mean(found)) if found else 0.0
+            agreement[shift] = float(np.mean(counts)) if counts else 0.0
         return max(agreement.values()) > _MIN_GAIN * max(agreement[0], _MIN_MATCHES)
 
     def _motion(self, pair: IntArray, number: IntArray, disparity_px: FloatArray) -> Motion | None:
@@ -281,7 +281,7 @@ class PairEvidence:
 
 
 def _support(inverse_depth: FloatArray, parallax_px: FloatArray, disparity_px: FloatArray) -> FloatArray:
-    """(2, O) fraction of the points that agree with each offset, as the rig says and exchanged."""
+    """(2, O) fraction of the points that agree with each offset, as in the rig and exchanged."""
     chosen = np.random.default_rng(0).permutation(len(disparity_px))[:_N_SLOPES]
     shifted_px = disparity_px - _OFFSETS_PX[:, None]  # (O, N)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -315,11 +315,11 @@ def _features(image: Image) -> _Features:
     xy_px, angle_deg, descriptors = [np.zeros((0, 2))], [np.zeros(0)], [np.zeros((0, 32), np.uint8)]
     orb = cv2.ORB.create(nfeatures=_N_FEATURES)
     for top, bottom in ((0, half + border), (half - border, image.shape[0])):
-        points, found = orb.detectAndCompute(image[max(top, 0) : bottom], None)
+        points, described = orb.detectAndCompute(image[max(top, 0) : bottom], None)
         if len(points):
             xy_px.append(np.array([point.pt for point in points]) + np.array([0.0, max(top, 0)]))
             angle_deg.append(np.array([point.angle for point in points]))
-            descriptors.append(np.asarray(found, np.uint8))
+            descriptors.append(np.asarray(described, np.uint8))
     return _Features(np.concatenate(xy_px), np.concatenate(angle_deg), np.concatenate(descriptors))
 
 

@@ -1,6 +1,6 @@
 """find_fault: the explanation of the figures of a pair, and what follows for a run.
 
-    fits       as the rig says                           verged     a constant error of the disparities: corrected
+    fits       as in the rig                             verged     a constant error of the disparities: corrected
     swapped    left and right exchanged: an error        turned     both images upside down: turned back
     unsteady   rows change: not simultaneous, a matter of `recording.pairs.sync_monitor`
     refused    another explanation, or several: no stereo           unknown    too few matches
@@ -56,7 +56,7 @@ class PairFinding:
     """The explanation of a pair."""
 
     fault: Fault
-    sentence: str = ""  # for the user: what was found, and what to do; empty = nothing to say
+    sentence: str = ""  # for the user: what was found, and what to do; empty = no message
     prior: Alignment = NOT_MEASURED  # correction of the images with which the alignment starts
 
     @property
@@ -163,12 +163,12 @@ def _arranged(figures: PairFigures, exchanged: bool | None) -> PairFinding:
 
 
 def _exchanged(figures: PairFigures, rig: StereoRig, is_upright: bool | None) -> PairFinding:
-    found = _negative(figures, rig)
+    evidence = _negative(figures, rig)
     if is_upright is False:
         where = "and near points are at the top of the images; turned back."
-        return PairFinding("turned", f"Both videos are upside down (turned by 180 degrees): {found}, {where}")
+        return PairFinding("turned", f"Both videos are upside down (turned by 180 degrees): {evidence}, {where}")
     other = "if both are mirrored, mirror them instead" if is_upright else "or turn both, if they are upside down"
-    return PairFinding("swapped", f"left and right are swapped: {found}; swap the two videos ({other}).")
+    return PairFinding("swapped", f"left and right are swapped: {evidence}; swap the two videos ({other}).")
 
 
 def _contradictory(figures: PairFigures, rig: StereoRig) -> PairFinding:

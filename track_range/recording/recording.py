@@ -314,7 +314,7 @@ def _sync_monitors(pair: PairedVideos) -> tuple[SyncMonitor]:
 def _first_frames(
     calibration: RecordingCalibration, pair: PairedVideos, check: PairMonitor | None
 ) -> Generator[Frame, None, None]:
-    """Frames of the first seconds at the interval that the alignment needs; with `check`, paired anew and checked."""
+    """Frames of the first seconds at the interval that the alignment needs; with `check`, re-paired and checked."""
     first_s, last_s = math.nan, -math.inf
     with closing(pair.read_ahead()) as images:
         frames = (calibration.frame(left, right, pair.left.first_time_s) for left, right in images)
