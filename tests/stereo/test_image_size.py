@@ -11,6 +11,7 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.image_size import field_notes, fitted_to_size, size_alternatives
 from track_range.stereo.geometry.rectification import Rectifier, Undistorter
 from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.geometry.rig_checks import check_camera
 from track_range.stereo.rig_formats.reading import load_calibration
 
 KITTI = PinholeCamera(721.5377, 721.5377, 609.5593, 172.854, 0, 0)  # calib.txt has no image size
@@ -56,6 +57,12 @@ def test_a_matrix_that_did_not_follow_the_resolution(scale, factor):
     assert (scaled[0].factor, scaled[-1].factor) == (pytest.approx(factor), pytest.approx(0.5))
     loaded = calibration_of(StereoRig.rectified(wrong, 0.5), ((1280, 720),))
     assert loaded.focal_sigma == pytest.approx(max(abs(1 - 1 / other) for other in shown))
+
+
+def test_a_matrix_of_twice_the_resolution_is_refused_with_the_size_that_fits():
+    wrong = dataclasses.replace(HD, width_px=640, height_px=360)  # camera_info with the size of resized images
+    with pytest.raises(RigError, match="as in images of about 1310x698 px; correct the image size"):
+        check_camera(wrong, "info.yaml")
 
 
 def test_resized_or_cropped_is_stated_and_not_in_doubt():

@@ -94,6 +94,7 @@ class RecordingCalibration:
     # height, pitch and uncertainty of the focal length of a camera that was calibrated from the road; None = unknown
     mounting: Mounting | None = None
     alternatives: tuple[FocalAlternative, ...] = ()  # other readings of the calibration or focal length
+    pixel_aspect: float = 1.0  # width / height of the recorded pixels, by the video
 
     @property
     def focal_sigma(self) -> float:
@@ -119,7 +120,21 @@ class RecordingCalibration:
         """Messages for the user."""
         alignment = () if self.alignment is None else self.alignment.notes
         focal = () if self.focal is None else self._focal_notes(self.focal)
-        return (*self.search_notes, *self.file_notes, *alignment, *focal)
+        return (*self.search_notes, *self.file_notes, *self._pixel_notes(), *alignment, *focal)
+
+    def _pixel_notes(self) -> tuple[str, ...]:
+        """A note on images whose pixels are not square by the calibration or the video."""
+        recorded = self.raw_camera or self.camera
+        own, aspect = recorded.fy_px / recorded.fx_px, self.pixel_aspect
+        is_contradicted = aspect != 1.0 and abs(own / aspect - 1.0) > _MAX_ASPECT_ERROR
+        if not is_contradicted and (recorded.has_square_pixels or recorded.is_wide):
+            return ()
+        doubt = f" By the video they are {aspect:.3g} times as wide: check the calibration." if is_contradicted else ""
+        return (
+            f"Pixels of the images of {recorded.width_px}x{recorded.height_px} px are {own:.3g} times as wide as high: "
+            f"resampled to {self.camera.width_px}x{self.camera.height_px} px with square pixels, to which focal length "
+            f"and boxes refer.{doubt}",
+        )
 
     def _focal_notes(self, focal: FocalGuess) -> tuple[str, ...]:
         length = (
@@ -243,7 +258,7 @@ def find_calibration(
         sizes_px = ((min(w for w, _ in sizes_px), min(h for _, h in sizes_px)),) * len(sizes_px)
     aspect = pixel_aspect_of((videos[0].width_px, videos[0].height_px), videos[0].pixel_aspect)
     if isinstance(rig, StereoRig):
-        return _of_models(rig, None, sizes_px, view, aspect)
+        return replace(_of_models(rig, None, sizes_px, view, aspect), pixel_aspect=aspect)
     path, search_notes = rig, tuple[str, ...]()
     if rig is None and focal_px is None:
         in_bag = _calibration_in_bag(videos, sizes_px, view)
@@ -254,7 +269,7 @@ def find_calibration(
         search_notes = () if path is None else (f"Using calibration {path} found next to the left video.",)
     if path is not None:
         loaded = _loaded(path, sizes_px, view, is_grey=videos[0].is_grey, aspect=aspect)
-        return replace(loaded, search_notes=search_notes)
+        return replace(loaded, search_notes=search_notes, pixel_aspect=aspect)
     _check_view(None, view)
     return _without_file(left, videos, sizes_px, focal_px, aspect)
 
@@ -312,7 +327,8 @@ def _without_file(
         guesses=guesses,
         focal=None if is_exact else guess,
         alternatives=others,
-        file_notes=(*field_notes(camera, source), *_pixel_notes(stored, camera, aspect), *([doubt] if others else [])),
+        pixel_aspect=aspect,
+        file_notes=(*field_notes(camera, source), *([doubt] if others else [])),
     )
 
 
@@ -335,7 +351,7 @@ def _loaded(path: Path, sizes_px: Sizes, view: LensView, *, is_grey: bool, aspec
         cameras, notes = load_camera(path, size_px=fitted_px[0], is_grey=is_grey)
     content = content.of_size(fitted_px[0])
     return replace(
-        _of_cameras(cameras, path, notes, sizes_px, view, aspect),
+        _of_cameras(cameras, path, notes, sizes_px, view),
         mounting=content.mounting if len(sizes_px) == 1 else None,
         left_from_reference_m=np.array(content.left_from_reference_m),
         alternatives=size_alternatives(content.left, fitted_px[0]),
@@ -371,17 +387,12 @@ def _of_models(
     else:
         check_rig(given, source)
         fitted, notes = fitted_rig(given, (fitted_px[0], fitted_px[1]), source)
-    loaded = _of_cameras(fitted, path, notes, sizes_px, view, aspect)
+    loaded = _of_cameras(fitted, path, notes, sizes_px, view)
     return replace(loaded, alternatives=size_alternatives(left, fitted_px[0]))
 
 
 def _of_cameras(
-    cameras: StereoRig | PinholeCamera,
-    path: Path | None,
-    notes: tuple[str, ...],
-    sizes_px: Sizes,
-    view: LensView,
-    aspect: float,
+    cameras: StereoRig | PinholeCamera, path: Path | None, notes: tuple[str, ...], sizes_px: Sizes, view: LensView
 ) -> RecordingCalibration:
     """The calibration of checked models, for images of these sizes."""
     rig: StereoRig | None = None
@@ -416,21 +427,7 @@ def _of_cameras(
         raw_camera=recorded,
         view=view,
         path=path,
-        file_notes=(*notes, *_pixel_notes(recorded, shown, aspect)),
-    )
-
-
-def _pixel_notes(recorded: PinholeCamera, shown: PinholeCamera, aspect: float) -> tuple[str, ...]:
-    """A note on images whose pixels are not square by the calibration, or by the video with this pixel aspect."""
-    own = recorded.fy_px / recorded.fx_px
-    is_contradicted = aspect != 1.0 and abs(own / aspect - 1.0) > _MAX_ASPECT_ERROR
-    if not is_contradicted and (recorded.has_square_pixels or recorded.is_wide):
-        return ()
-    doubt = f" By the video they are {aspect:.3g} times as wide: check the calibration." if is_contradicted else ""
-    return (
-        f"Pixels of the images of {recorded.width_px}x{recorded.height_px} px are {own:.3g} times as wide as high: "
-        f"resampled to {shown.width_px}x{shown.height_px} px with square pixels, to which focal length and boxes refer."
-        f"{doubt}",
+        file_notes=notes,
     )
 
 
