@@ -280,7 +280,7 @@ def test_buffered_frames_are_freed_one_by_one(tmp_path, film):
     recording = open_recording(*films(tmp_path, film))
     n_buffered = len(recording.source._ahead)
     next(recording.frames)
-    assert (n_buffered, len(recording.source._ahead)) == (14, 13 - FRAMES_AHEAD)  # those that wait for later ones
+    assert (n_buffered, len(recording.source._ahead)) == (14, 13 - 2 * FRAMES_AHEAD)  # those that wait for later ones
     recording.close()
     assert len(recording.source._ahead) == 0
 

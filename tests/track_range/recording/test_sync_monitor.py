@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.approach import SIZE_PX, approach
-from track_range.recording.pairs.sync_monitor import MAX_LAG, SyncMonitor
+from track_range.recording.pairs.sync_monitor import SyncMonitor
 from track_range.recording.recording import open_recording
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame, whole_image
@@ -67,12 +67,15 @@ def test_dropped_frames(k: int, side: str) -> None:
     assert (finding.side, finding.lag_frames, finding.action) == (late, k, "re-paired")
 
 
-@pytest.mark.parametrize(("left_at", "right_at"), [(0, 2), (3, 0)])
+@pytest.mark.parametrize(("left_at", "right_at"), [(0, 1), (0, 2), (3, 0)])
 def test_lag_from_the_start(left_at: int, right_at: int) -> None:
+    """All frames are re-paired, except those whose partners do not exist."""
     left, right = GOOD[left_at:], GOOD[right_at:]
     error = errors(left, SyncMonitor(4), frames(left, right))
-    n = N - 5
-    assert error[MAX_LAG + 1 : n - 5] == [0] * (n - MAX_LAG - 6)
+    n_missing, n = max(left_at, right_at), min(len(left), len(right))
+    paired = error[:-n_missing] if left_at else error[n_missing:]
+    assert paired == [0] * (n - n_missing)
+    assert None in (error[0], error[-1])
 
 
 def test_frozen_side_has_no_stereo_and_then_no_lag() -> None:

@@ -69,13 +69,17 @@ class _Entry:
 
 @dataclass(slots=True)
 class SyncMonitor:
-    """Checks the frames of a pair in order; `n_ahead` of them are waited for, so that most lags are found in time."""
+    """Checks the frames of a pair in order.
+
+    `n_ahead` frames are waited for, so that most lags are found in time; twice as many until the first check in motion.
+    """
 
     n_ahead: int = 0
     findings: list[SyncFinding] = field(default_factory=list)
     _entries: deque[_Entry] = field(default_factory=deque)  # the last frames; the newest ones wait
     _n_waiting: int = 0
     _shift: int | None = 0  # that of new frames
+    _is_settled: bool = False  # whether a check has confirmed it
     _candidate: int | None = None  # another one, which the last checks found
     _n_votes: int = 0  # number of these checks
     _n_failed: int = 0  # number of the last checks that found nothing
@@ -107,9 +111,10 @@ class SyncMonitor:
             is_due = self._is_urgent or self._n_unchecked >= _PERIOD
             if is_due and self._credit >= 1 and not any(entry.repeated):
                 self._check(entry)
+        n_ahead = self.n_ahead if self._is_settled else 2 * self.n_ahead
         ready = []
-        while self._n_waiting > self.n_ahead and (  # the right images of late frames follow
-            not self.n_ahead or self._n_waiting > (self._entries[-self._n_waiting].shift or 0)
+        while self._n_waiting > n_ahead and (  # the right images of late frames follow
+            not n_ahead or self._n_waiting > (self._entries[-self._n_waiting].shift or 0)
         ):
             ready.append(self._next())
         return ready
@@ -170,7 +175,7 @@ class SyncMonitor:
             self._is_urgent = self._n_failed <= _N_FAILED
             return
         if best is not None and best == self._shift:
-            self._candidate, self._n_votes = None, 0
+            self._candidate, self._n_votes, self._is_settled = None, 0, True
             return
         self._is_urgent = True
         self._n_votes = self._n_votes + 1 if best == self._candidate else 1
@@ -205,12 +210,14 @@ class SyncMonitor:
     def _change(self, shift: int) -> None:
         """Use another shift from the first waiting frame on at which the present one is wrong."""
         old, self._shift, self._candidate, self._n_votes = self._shift, shift, None, 0
+        self._is_settled = True
         for place in range(len(self._entries) - self._n_waiting, len(self._entries)):
             if old is not None and self._fits(place, old):
                 self._entries[place].shift = old
             else:
                 lag = self._measured(place, shift)
                 self._entries[place].shift = shift if lag is None or _is_same(lag, _OTHER) else None
+        self._credit = max(self._credit, 2 * MAX_LAG)
 
     def _newest(self, shift: int) -> int:
         """Place of the newest left image that has a right one at a shift."""
