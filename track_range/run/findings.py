@@ -16,6 +16,7 @@ from track_range.stereo.geometry.rig import StereoRig
 _INTERVAL = 10  # frames between two whose brightness is measured
 _STEP_PX = 16  # between the pixels that are averaged
 _KEPT = (0, 3, 9, 15, 60, 250, 1000)  # numbers of the frames in which road users are sought upside down
+_KEPT_WIDTH_PX = 900  # width above which they are reduced
 _DARK, _UNIFORM = 8.0, 4.0  # brightness and its standard deviation of images that show nothing; night drives: 36 and 33
 _MOST = 0.8  # fraction of the images from which on the recording is dark or uniform
 _BRIGHTER = 20.0  # by which the lower third is brighter than the upper one in images that may be upside down
@@ -41,7 +42,9 @@ class Findings:
             self._left.append(_levels(result.left))
             self._right += [] if result.right is None else [_levels(result.right)]
         if self._n_frames in _KEPT:
-            self._kept.append(replace(result.frame, right=None, recorded=None))
+            step = max(1, result.left.shape[1] // _KEPT_WIDTH_PX)
+            small = result.left[::step, ::step].copy()
+            self._kept.append(replace(result.frame, left=small, right=None, recorded=None))
         self._n_frames += 1
         self._n_boxes += int(result.tracks.observed.sum())
         for name, ranges in result.ranges.items():
