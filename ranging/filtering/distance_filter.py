@@ -18,6 +18,8 @@ filter's variance at the output. It is common to distance and speed, so the time
 it. When the condition of a measurement changes (a method joins or leaves the fusion), so does its systematic error:
 the variances of the old and the new one are added to that of d, so that the step does not appear as speed. A
 measurement beyond 3 sigma is down-weighted (Huber); after three in a row the filter restarts.
+
+Where the image border cuts a box, the prediction is that of the object's far end (`cut_boxes`).
 """
 
 from __future__ import annotations
@@ -32,6 +34,7 @@ import numpy as np
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.foundation.track_state import TrackState
+from track_range.ranging.filtering.cut_boxes import CutBoxes, SideState
 from track_range.ranging.ranges import Ranges
 
 MIN_CLOSING_MPS = 0.3  # smallest closing speed with a time to collision; below, the time is mostly noise
@@ -118,10 +121,15 @@ class _FilterState(NamedTuple):
     n_outliers: FloatArray  # consecutive ones
     condition: FloatArray  # of the last measurement
     steady_since_s: FloatArray  # time of the start or of the last change of condition
+    q: FloatArray  # the `SideState`
+    k: FloatArray
+    P_dk: FloatArray
+    P_vk: FloatArray
+    P_kk: FloatArray
 
 
 _NAN, _ZERO = np.array(np.nan), np.array(0.0)
-_NEW_TRACK = _FilterState(_NAN, _NAN, _ZERO, _ZERO, _ZERO, _NAN, _NAN, _NAN, _NAN, _ZERO, _ZERO, _NAN)
+_NEW_TRACK = _FilterState(_NAN, _NAN, _ZERO, _ZERO, _ZERO, _NAN, _NAN, _NAN, _NAN, _ZERO, _ZERO, _NAN, *[_ZERO] * 5)
 
 
 class DistanceFilters:
@@ -165,6 +173,7 @@ class DistanceFilters:
         conditions: Mapping[str, IntArray] | None = None,
         ego_speed_mps: float = math.nan,
         ego_sigma_mps: float = math.nan,
+        cut: CutBoxes | None = None,
     ) -> dict[str, FilteredRanges]:
         """Filtered ranges of every track at `time_s`, by method, after the measurements of this frame.
 
@@ -176,6 +185,7 @@ class DistanceFilters:
                 the systematic error.
             ego_speed_mps: current speed of the camera along its axis; NaN = unknown.
             ego_sigma_mps: its standard deviation; NaN = 0.
+            cut: boxes of the tracks that the image border cuts; None = none is cut.
         """
         if by_method.keys().isdisjoint(self._methods):
             return {}
@@ -189,7 +199,14 @@ class DistanceFilters:
         dV_variance = np.where(
             dV == 0, 0.0, 2 * np.nan_to_num(ego_sigma_mps) ** 2 * -np.expm1(-dt / _EGO_CORRELATION_S)
         )
-        state = ConstantVelocity(*last[:5]).predict(dt, q=settings.acceleration_noise**2)
+        state, side, q = ConstantVelocity(*last[:5]), SideState(*last[-5:]), settings.acceleration_noise**2
+        is_side = (side.P_kk > 0) if cut is None else (side.P_kk > 0) | cut.is_cut
+        if cut is not None and is_side.any():
+            state, side, edge_variance = side.predicted(state, cut, dt, q=q)
+            independent = independent + edge_variance
+        else:
+            state = state.predict(dt, q=q)
+            side = side if cut is None else side._replace(q=np.broadcast_to(cut.q, dt.shape))
         d, v = state.x - dt * dV / 2, state.v - dV
         is_expired = (time_s - last.measured_s > settings.max_gap_s) | (d < _MIN_DISTANCE_M)
         d[is_expired] = v[is_expired] = np.nan
@@ -214,11 +231,13 @@ class DistanceFilters:
         known, starts = valid & ~is_lost, valid & is_lost
         if settings.learns_noise:
             is_steady = time_s - steady_since_s >= settings.min_steady_s
-            self._noise_scale.learn(nu * nu, P_dd, noise=R, use=known & is_steady)
+            self._noise_scale.learn(nu * nu, P_dd, noise=R, use=known & is_steady & ~is_side)
 
         # Update.
         state = ConstantVelocity(d, v, P_dd, P_dv, P_vv)
-        state = state.update(nu, R * np.maximum(1.0, excess) ** 2, valid=known)
+        R = R * np.maximum(1.0, excess) ** 2
+        side = side.updated(state, nu, R, valid=known)
+        state = state.update(nu, R, valid=known)
         state = replace(state, x=np.maximum(state.x, _MIN_DISTANCE_M))
 
         # Restart.
@@ -228,6 +247,7 @@ class DistanceFilters:
             rate_sigma_mps = settings.target_speed_sigma_mps if is_ego_known else settings.initial_rate_sigma_mps
             initial: tuple[FloatArray | float, ...] = (z, rate_mps, z * z * independent, 0.0, rate_sigma_mps**2)
             state = ConstantVelocity(*(np.where(starts, *pair) for pair in zip(initial, state.columns, strict=True)))
+            side = side._replace(P_dk=np.where(starts, 0.0, side.P_dk), P_vk=np.where(starts, 0.0, side.P_vk))
             n_outliers, steady_since_s = np.where(starts, 0.0, n_outliers), np.where(starts, time_s, steady_since_s)
 
         new = _FilterState(
@@ -239,6 +259,7 @@ class DistanceFilters:
             n_outliers=n_outliers,
             condition=condition,
             steady_since_s=steady_since_s,
+            **side._asdict(),
         )
         is_recent = time_s - _FilterState._make(self._tracks.known).measured_s <= settings.max_gap_s
         self._tracks.put(track_id, np.array(new), keep_known=np.asarray(is_recent.any(axis=0)))

@@ -68,7 +68,14 @@ _SIZES_M = {
 }
 """Typical length and smallest width of each class, m."""
 
-_LENGTH_M, _MIN_WIDTH_M = np.array([_SIZES_M[name] for name in ROAD_CLASSES]).T
+LENGTH_M, _MIN_WIDTH_M = np.array([_SIZES_M[name] for name in ROAD_CLASSES]).T
+
+
+def sides_cut(tracks: Tracks, camera: PinholeCamera) -> BoolArray:
+    """(2, N) whether the left, and the right, image border cuts the boxes of the tracks."""
+    x1_px, y1_px, x2_px, y2_px = tracks.xyxy_px.T
+    border_px = _BORDER_PX + _BORDER_FRACTION * (y2_px - y1_px)
+    return np.stack([x1_px <= border_px, x2_px >= camera.width_px - 1 - border_px])
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,12 +182,11 @@ class LateralFilters:
         """Lateral position of the centre, its standard deviation, half the width in m, and whether a box is whole."""
         left_px, right_px = edges_px = tracks.xyxy_px[:, ::2].T
         left, right = (edges_px - self._camera.cx_px) / self._camera.fx_px
-        d, L = distance_m, _LENGTH_M[tracks.class_id]
+        d, L = distance_m, LENGTH_M[tracks.class_id]
         slack_m = np.maximum((right - left) * d - _MIN_WIDTH_M[tracks.class_id], 0.0)
         left_m = left * d + np.minimum(np.maximum(left, 0.0) * L, slack_m)
         right_m = right * d - np.minimum(np.maximum(-right, 0.0) * L, slack_m)
         sigma_m = (_CENTRE_SIGMA_PX + _CENTRE_SIGMA_FRACTION * (right_px - left_px)) * d / self._camera.fx_px
-        border_px = _BORDER_PX + _BORDER_FRACTION * (tracks.xyxy_px[:, 3] - tracks.xyxy_px[:, 1])
-        is_whole = (left_px > border_px) & (right_px < self._camera.width_px - 1 - border_px)
+        is_whole = ~sides_cut(tracks, self._camera).any(axis=0)
         is_whole &= (right - left) * d > _LEAST_WIDTH_FRACTION * _MIN_WIDTH_M[tracks.class_id]
         return (left_m + right_m) / 2, sigma_m, (right_m - left_m) / 2, is_whole

@@ -20,6 +20,7 @@ from track_range.detection.lanes.lines import LaneFinder, LaneLines
 from track_range.foundation.arrays import FloatArray, FloatArray32
 from track_range.pipeline.throughput import StageClock
 from track_range.ranging.ego_speed import EgoSpeed
+from track_range.ranging.filtering.cut_boxes import CutBoxes
 from track_range.ranging.filtering.distance_filter import DistanceFilters, FilteredRanges
 from track_range.ranging.filtering.lateral_motion import LateralFilters, LateralMotion
 from track_range.ranging.fusion.fusion import Fusion
@@ -226,7 +227,7 @@ class FusionStage:
     """Fuses the distances of the methods, and filters distances and lateral positions over time."""
 
     def __init__(self, camera: PinholeCamera) -> None:
-        self._fusion, self._lateral = Fusion(), LateralFilters(camera)
+        self._camera, self._fusion, self._lateral = camera, Fusion(), LateralFilters(camera)
         self._filters = DistanceFilters(noise_shares())
 
     def update(
@@ -241,6 +242,7 @@ class FusionStage:
             conditions={"fused": fused.condition},
             ego_speed_mps=ego.speed_mps,
             ego_sigma_mps=ego.speed_sigma_mps,
+            cut=CutBoxes.of(tracks, self._camera),
         )
         ranges |= {f"{name}_kf": state.ranges for name, state in filtered.items()}
         motion = filtered["fused"]
