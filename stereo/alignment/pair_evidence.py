@@ -85,6 +85,7 @@ class Motion(NamedTuple):
     """Agreement of disparities with the motion of the left camera."""
 
     n_points: int
+    n_steps: int
     support: float  # fraction of the points that agree with the rig and the error `offset_px`, 0..1
     offset_px: float  # measured minus true disparity
     sigma_px: float  # standard deviation of the offset
@@ -277,7 +278,7 @@ class PairEvidence:
         sigma_px = math.hypot(half_px / 2, float(np.std(each_px)) / math.sqrt(len(each_px)))
         if is_likely[0] or is_likely[-1]:  # the offset may be beyond those that are tried
             sigma_px = math.inf
-        return Motion(sum(n_points), float(total[0][best]), offset_px, sigma_px, float(total[1].max()))
+        return Motion(sum(n_points), len(n_points), float(total[0][best]), offset_px, sigma_px, float(total[1].max()))
 
 
 def _support(inverse_depth: FloatArray, parallax_px: FloatArray, disparity_px: FloatArray) -> FloatArray:

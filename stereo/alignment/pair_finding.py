@@ -36,7 +36,7 @@ _LEAD = 1.15  # minimum ratio of the supports of two explanations
 _MIN_GROUND, _GROUND_LEAD = 0.5, 0.1  # minimum correlation of the half of the image with the road, and its lead
 # Disparity that no rig has, and the fractions of such points from which the order is doubted, and which needs a reason.
 _NEGATIVE_PX, _MIN_EXCHANGED, _MAX_NEGATIVE = -3.0, 0.3, 0.1
-_MIN_SUPPORT = 0.25  # smallest support of an offset
+_MIN_STEPS, _MIN_SUPPORT = 3, 0.25  # smallest number of steps, and support, of an offset
 _MIN_OFFSET_PX, _MIN_SIGMAS = 5.0, 4.0  # smallest error of the disparities that is corrected here
 _MODEL_PX = 2.0  # standard deviation of the offset from other errors than noise
 # Smallest yaw that is not residual distortion, and one that rows show clearly, with the smallest ratios of the supports
@@ -151,7 +151,8 @@ def _best(figures: PairFigures, rig: StereoRig) -> Motion | None:
 
 def _is_offset(motion: Motion) -> bool:
     """Whether the offset is large and significant."""
-    return motion.support > _MIN_SUPPORT and abs(motion.offset_px) > max(_MIN_OFFSET_PX, _MIN_SIGMAS * motion.sigma_px)
+    smallest_px = max(_MIN_OFFSET_PX, _MIN_SIGMAS * math.hypot(motion.sigma_px, 1.0))
+    return motion.n_steps >= _MIN_STEPS and motion.support > _MIN_SUPPORT and abs(motion.offset_px) > smallest_px
 
 
 def _arranged(figures: PairFigures, exchanged: bool | None) -> PairFinding:
