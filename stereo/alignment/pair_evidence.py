@@ -186,17 +186,11 @@ class PairEvidence:
 
     def figures(self) -> PairFigures:
         """The summary of the pairs so far."""
-        kinds = [pair.arrangement for pair in self._pairs]
-        weight = {kind: sum(pair.n_in_band() for pair in self._pairs if pair.arrangement == kind) for kind in kinds}
-        arrangement: Arrangement = max(weight, key=weight.__getitem__) if weight else "equal"
-        pairs = [pair if pair.arrangement == arrangement else None for pair in self._pairs]
-        used = [pair for pair in pairs if pair is not None]
-        index = np.concatenate([np.zeros(0, np.int64), *(np.full(len(p.number), i) for i, p in enumerate(pairs) if p)])
-        left_px, right_px = (
-            np.concatenate([np.zeros((0, 2)), *(getattr(pair, name) for pair in used)])
-            for name in ("left_px", "right_px")
-        )
-        number = np.concatenate([np.zeros(0, np.int64), *(pair.number for pair in used)])
+        kinds = [pair.arrangement for pair in self._pairs for _ in range(pair.n_in_band())] or ["equal"]
+        arrangement: Arrangement = max(set(kinds), key=kinds.count)
+        used = [(i, pair) for i, pair in enumerate(self._pairs) if pair.arrangement == arrangement]
+        index = np.concatenate([np.full(len(pair.number), i) for i, pair in used])
+        left_px, right_px, number = (np.concatenate(part) for part in zip(*(pair[2:] for _, pair in used), strict=True))
         view, is_agreeing, corrected_px = self._rows(left_px, right_px)
         turned_px = view.corrected(right_px, self._camera)
         residual_px = np.where(is_agreeing, turned_px[:, 1] - left_px[:, 1], np.nan)
@@ -222,8 +216,8 @@ class PairEvidence:
             view=replace(view, row_offset_px=f * view.row_offset_px),
             left_px=f * left_px[is_agreeing],
             right_px=f * corrected_px[is_agreeing],
-            motion=_scaled(motion, f),
-            turned_motion=_scaled(turned_motion, f),
+            motion=motion,
+            turned_motion=turned_motion,
             ground=(_rank_correlation(*points[~is_low].T), _rank_correlation(*points[is_low].T)),
             is_late=not is_clean and self._is_late(),
         )
@@ -278,7 +272,8 @@ class PairEvidence:
         sigma_px = math.hypot(half_px / 2, float(np.std(each_px)) / math.sqrt(len(each_px)))
         if is_likely[0] or is_likely[-1]:  # the offset may be beyond those that are tried
             sigma_px = math.inf
-        return Motion(sum(n_points), len(n_points), float(total[0][best]), offset_px, sigma_px, float(total[1].max()))
+        f, own, other = self._factor, float(total[0][best]), float(total[1].max())
+        return Motion(sum(n_points), len(n_points), own, f * offset_px, f * sigma_px, other)
 
 
 def _support(inverse_depth: FloatArray, parallax_px: FloatArray, disparity_px: FloatArray) -> FloatArray:
@@ -302,12 +297,6 @@ def _flow_px(first: _Features, second: _Features) -> float:
     """Median motion of the matching features; 0 without."""
     a, b = _matches(first, second)
     return float(np.median(np.linalg.norm(second.xy_px[b] - first.xy_px[a], axis=1))) if len(a) else 0.0
-
-
-def _scaled(motion: Motion | None, factor: int) -> Motion | None:
-    if motion is None:
-        return None
-    return motion._replace(offset_px=factor * motion.offset_px, sigma_px=factor * motion.sigma_px)
 
 
 def _features(image: Image) -> _Features:

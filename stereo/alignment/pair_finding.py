@@ -39,11 +39,13 @@ _NEGATIVE_PX, _MIN_EXCHANGED, _MAX_NEGATIVE = -3.0, 0.3, 0.1
 _MIN_STEPS, _MIN_SUPPORT = 3, 0.25  # smallest number of steps, and support, of an offset
 _MIN_OFFSET_PX, _MIN_SIGMAS = 5.0, 4.0  # smallest error of the disparities that is corrected here
 _MODEL_PX = 2.0  # standard deviation of the offset from other errors than noise
+_YAW_ERROR_DEG = 0.7  # largest error of the yaw from rows
 # Smallest yaw that is not residual distortion, and one that rows show clearly, with the smallest ratios of the supports
 # of motion with and without it; largest ratio of the offsets with and without it.
-_YAW_ERROR_DEG = 0.7  # largest error of the yaw from rows
 _MIN_YAW_DEG, _CLEAR_YAW_DEG, _SMALL_YAW, _CLEAR_YAW, _MAX_REST = 0.5, 1.5, 1.05, 0.8, 0.6
 _MIN_ROWS_PX = 1.5  # smallest error of rows that is corrected here
+CORRECTED = "corrected, but calibrate again."
+GIVEN = "--align auto corrects it; with the given alignment, distances come from the left video alone."
 _ARRANGED = {
     "turned": "upside down (turned by 180 degrees)",
     "mirrored": "mirrored left to right",
@@ -58,6 +60,12 @@ class PairFinding:
     fault: Fault
     sentence: str = ""  # for the user: what was found, and what to do; empty = no message
     prior: Alignment = NOT_MEASURED  # correction of the images with which the alignment starts
+
+    def uncorrected(self) -> PairFinding:
+        """The finding in a run whose alignment is given: without stereo, if images need a correction."""
+        if self.fault != "verged":
+            return self
+        return replace(self, fault="refused", sentence=self.sentence.replace(CORRECTED, GIVEN))
 
     @property
     def has_stereo(self) -> bool:
@@ -100,8 +108,8 @@ def find_fault(figures: PairFigures, rig: StereoRig) -> PairFinding:
 
 
 def _refused(reason: str) -> PairFinding:
-    only = "Distances come from the left video alone."
-    return PairFinding("refused", f"The rig does not fit these images: {reason}. {only}")
+    sentence = f"The rig does not fit these images: {reason}. Distances come from the left video alone."
+    return PairFinding("refused", sentence)
 
 
 def _is_without_parallax(figures: PairFigures, rig: StereoRig) -> bool:
@@ -139,10 +147,10 @@ def _exchange(figures: PairFigures, rig: StereoRig) -> tuple[bool | None, bool |
 def _best(figures: PairFigures, rig: StereoRig) -> Motion | None:
     """The motion with or without the yaw that rows show: a small one must explain the disparities better."""
     plain, turned, yaw_deg = figures.motion, figures.turned_motion, abs(figures.view.yaw_deg)
-    if plain is None or turned is None or yaw_deg < _MIN_YAW_DEG:
+    if plain is None or turned is None or yaw_deg < _MIN_YAW_DEG or turned.n_steps < _MIN_STEPS:
         return plain
     largest_px = max(rig.left.fx_px * math.tan(math.radians(_YAW_ERROR_DEG)), _MIN_SIGMAS * turned.sigma_px)
-    if abs(turned.offset_px) > largest_px:
+    if abs(turned.offset_px) > largest_px or not math.isfinite(largest_px):
         return plain
     is_better = turned.support > (_CLEAR_YAW if yaw_deg >= _CLEAR_YAW_DEG else _SMALL_YAW) * plain.support
     is_explained = abs(turned.offset_px) < _MAX_REST * abs(plain.offset_px) and _is_offset(plain)
@@ -218,8 +226,7 @@ def _verged(figures: PairFigures, rig: StereoRig) -> PairFinding:
         f"motion fits at {_pct(motion.support)} of {motion.n_points} points, swapped videos at "
         f"{_pct(motion.exchanged_support)}"
     )
-    sentence = f"The rig does not fit these images: {what} ({support}); corrected, but calibrate again."
-    return PairFinding("verged", sentence, prior)
+    return PairFinding("verged", f"The rig does not fit these images: {what} ({support}); {CORRECTED}", prior)
 
 
 def _pct(fraction: float) -> str:

@@ -24,6 +24,7 @@ from track_range.stereo.alignment.from_drive import NOT_MEASURED, DriveAlignment
 from track_range.stereo.alignment.from_reference import fit_reference
 from track_range.stereo.alignment.health import UNSEEN, RigHealth, Window
 from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.alignment.pair_finding import CORRECTED, GIVEN
 from track_range.stereo.evaluation.kitti_2015 import StereoPair
 from track_range.stereo.geometry.frames import whole_image
 from track_range.stereo.geometry.rig import RigError, StereoRig
@@ -192,7 +193,9 @@ def _prior(left: Path, right: Path, rig: Path | None) -> tuple[Alignment, tuple[
     """The correction with which the estimate starts, from the first images, and a note on how they fit the rig."""
     with closing(open_recording(left, right, rig=rig, align="off")) as recording:
         finding = recording.finding
-    return (NOT_MEASURED, ()) if finding is None else (finding.prior, tuple(filter(None, [finding.sentence])))
+    if finding is None:
+        return NOT_MEASURED, ()
+    return finding.prior, tuple(filter(None, [finding.sentence.replace(GIVEN, CORRECTED)]))
 
 
 def _from_reference(reference: Path, settings: AlignmentSettings, progress: StepProgress) -> RigAlignment:

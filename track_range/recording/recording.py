@@ -6,11 +6,9 @@ open the videos -> find and check the calibration -> check and align with the fi
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Generator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
-from itertools import islice
 from pathlib import Path
 
 from track_range.foundation.progress import StepProgress, no_progress
@@ -34,7 +32,7 @@ from track_range.recording.pairs.auto_alignment import (
     given_alignment,
 )
 from track_range.recording.pairs.live_pair import LivePair
-from track_range.recording.pairs.pair_monitor import MAX_CHECKED_PAIRS, PairMonitor
+from track_range.recording.pairs.pair_monitor import PairMonitor
 from track_range.recording.pairs.recorded_pair import RecordedPair
 from track_range.recording.pairs.sync_monitor import SyncMonitor
 from track_range.recording.pairs.video_pair import VideoPair
@@ -230,7 +228,7 @@ def open_recording(
         elif isinstance(source, VideoPair):
             check = PairMonitor(assumed_rig(calibration.camera))
             with closing(_first_frames(calibration, source, check)) as first_frames:
-                deque(islice(first_frames, MAX_CHECKED_PAIRS), maxlen=0)
+                check.watch(first_frames)
             check.finish()
             if check.row_offset_px is not None:
                 calibration = calibration.with_row_offset(check.row_offset_px)
@@ -281,11 +279,13 @@ def _aligned(
     with closing(_first_frames(started, pair, check)) as first_frames:
         alignment = find_alignment(given or "auto", rig, first_frames, progress)
         if given is not None and check is not None:
-            deque(islice(first_frames, MAX_CHECKED_PAIRS), maxlen=0)
+            check.watch(first_frames)
     finding = None if check is None else check.finish()
     if check is None or finding is None:
         return calibration.with_alignment(alignment)
-    if not finding.has_stereo or (given is not None and finding.fault == "verged"):
+    if given is not None:
+        check.finding = finding = finding.uncorrected()
+    if not finding.has_stereo:
         return replace(calibration, rig=None)
     if finding.fault == "turned":
         calibration = calibration.turned()

@@ -390,7 +390,9 @@ class _Opened:
         """Apply the explanation of the first pairs from the next frame on, but leave out stereo from this one on."""
         if finding is None or self._stepwise is None:
             return
-        self._has_stereo = finding.has_stereo and (finding.fault != "verged" or not self._is_given)
+        if self._is_given and self._monitor is not None:
+            self._monitor.finding = finding = finding.uncorrected()
+        self._has_stereo = finding.has_stereo
         if finding.fault == "turned":
             self._unaligned, self.calibration = self._unaligned.turned(), self.calibration.turned()
         if self._has_stereo and not self._is_given and finding.fault in ("verged", "turned"):

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import json
 import shutil
+from contextlib import closing
 
+import cv2
 import numpy as np
 import pytest
 
 from track_range.detection.formats.video_labels.kitti import read_kitti
+from track_range.recording.recording import open_recording
 from track_range.stereo.alignment.file import load_alignment
+from track_range.stereo.alignment.pair_finding import PairFinding
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.rig_formats.reading import load_rig
 from track_range.stereo.rig_formats.rig_yaml import save_rig
@@ -165,6 +169,28 @@ def test_too_short_drive_writes_nothing(render_drive, tmp_path, cli):
     assert "left.mp4" in errors
     assert "10 frames" in errors
     assert not (tmp_path / "align.yaml").exists()
+
+
+@pytest.mark.slow
+def test_large_offset_is_estimated_and_applied_by_a_run(drive, tmp_path, cli):
+    capture = cv2.VideoCapture(str(drive / "right.mp4"))
+    (tmp_path / "right").mkdir()
+    for number in range(int(capture.get(cv2.CAP_PROP_FRAME_COUNT))):
+        image = np.roll(capture.read()[1], 24, axis=1)  # disparities are 24 px too small
+        cv2.imwrite(str(tmp_path / "right" / f"{number:06d}.png"), image)
+    pair = drive / "left.mp4", tmp_path / "right"
+    status, printed, _ = cli("align", "--stereo", *pair, "--out", tmp_path / "align.yaml")
+    assert status == 0
+    assert "px too small, as with shifted images" in " ".join(printed.split())
+    alignment = load_alignment(tmp_path / "align.yaml")
+    assert alignment.offset_px == pytest.approx(24.0, abs=0.3)
+    assert alignment.residual_px < 0.5
+    with closing(open_recording(*pair, align=tmp_path / "align.yaml")) as recording:
+        assert recording.finding == PairFinding("fits")
+        assert recording.alignment.at(0.0).offset_px == pytest.approx(alignment.offset_px - 24.0)
+    with closing(open_recording(*pair, align="off")) as recording:
+        assert recording.rig is None
+        assert "--align auto corrects it" in recording.finding.sentence
 
 
 def test_invalid_output_paths(drive, videos, tmp_path, cli):

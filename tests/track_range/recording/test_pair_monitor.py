@@ -67,9 +67,9 @@ def test_swapped_pair_is_an_error_at_the_end_of_the_check():
 
 def test_a_frame_is_checked_if_it_is_due():
     monitor = PairMonitor(RIG)
-    assert notes_of(frames(40, step_s=0.02), monitor) == ()
+    assert notes_of(frames(30, step_s=0.02), monitor) == ()
     assert monitor.finding is None
-    assert monitor._evidence.n_pairs == 2  # at 0 and 0.1 s; without motion the next one is due 0.8 s later
+    assert monitor._evidence.n_pairs == 3  # at 0, 0.1 and 0.28 s: without motion the interval doubles
 
 
 def test_pairs_without_texture_are_reported():

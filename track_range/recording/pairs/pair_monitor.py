@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import replace
+from itertools import islice
 
 from track_range.stereo.alignment.from_drive import MIN_STEP_S
 from track_range.stereo.alignment.model import RightView
@@ -15,7 +17,8 @@ from track_range.stereo.geometry.rig import RigError, StereoRig
 MAX_CHECKED_PAIRS = 10  # largest number of pairs that are checked
 _N_PAIRS = 7  # number of pairs that are enough in motion
 _MIN_FLOW_PX = 3.0  # median motion from which the camera moves
-_WAIT_S = 0.8  # time after a pair without motion
+_WAIT_S = 0.4  # longest time between two pairs, without motion
+_MAX_FRAMES = round(MAX_CHECKED_PAIRS * _WAIT_S / MIN_STEP_S)  # number of frames with so many pairs
 
 _UNMATCHED = (
     f"The rig could not be checked: left and right have too few matching points in equal rows in the first "
@@ -34,7 +37,7 @@ class PairMonitor:
         self.view = RightView()  # rows of the right camera
         self._row_fraction = 0.0
         self._rig, self._evidence = rig, PairEvidence(rig.left)
-        self._next_s, self._n_moving = -math.inf, 0
+        self._next_s, self._wait_s, self._n_moving = -math.inf, MIN_STEP_S, 0
 
     def add(self, frame: Frame) -> None:
         """Check a frame, if it is due; raises RigError with the last one if left and right are swapped."""
@@ -43,11 +46,20 @@ class PairMonitor:
         self._evidence.add(frame.left, whole_image(frame.right))
         is_moving = self._evidence.flow_px > _MIN_FLOW_PX
         self._n_moving += is_moving
-        is_next = is_moving or self._evidence.n_pairs < 2
-        self._next_s = frame.time_s + (0.99 * MIN_STEP_S if is_next else _WAIT_S)
         n_pairs = self._evidence.n_pairs
+        if n_pairs > 1 and not is_moving:
+            self._wait_s = min(2 * self._wait_s, _WAIT_S)
+        elif self._evidence.flow_px > 4 * _MIN_FLOW_PX:
+            self._wait_s = MIN_STEP_S
+        self._next_s = frame.time_s + 0.99 * self._wait_s
         if n_pairs >= MAX_CHECKED_PAIRS or (n_pairs >= _N_PAIRS and self._n_moving >= _N_PAIRS // 2):
             self.finish()
+
+    def watch(self, frames: Iterable[Frame]) -> None:
+        """Read frames that are added to this monitor, until they are explained."""
+        for _ in islice(frames, _MAX_FRAMES):
+            if self.finding is not None:
+                return
 
     def finish(self) -> PairFinding | None:
         """The explanation of the pairs so far, None without any; no other pair will be checked."""
