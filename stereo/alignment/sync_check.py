@@ -14,6 +14,7 @@ import math
 from functools import partial
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, Image
@@ -65,7 +66,7 @@ def measured_lag(before: ImageView, left: ImageView, right: ImageView) -> Lag | 
     motion_px = _fitted(rig, moved_px, flat, flat).scatter  # that of most points, so that a few do not decide
     if motion_px < _MIN_MOTION_PX:
         return None
-    small_right = _small(right)
+    small_right = _exposed_as(_small(right), small_left)
     in_right, is_right = track(small_left, small_right, points)
     back, is_back = track(small_right, small_left, in_right, n_levels=1, start=points)
     is_used = is_right & is_back & (np.abs(back - points).max(axis=1) < _MAX_RETURN_PX)
@@ -90,6 +91,13 @@ def _small(view: ImageView) -> Image:
     step = 1 << BackgroundFlow().n_halvings((view.shape[0], view.shape[1]))
     pixels = view[step // 2 :: step, step // 2 :: step]
     return np.ascontiguousarray(pixels if pixels.ndim == 2 else pixels[:, :, 1])
+
+
+def _exposed_as(image: Image, other: Image) -> Image:
+    """An image with the mean and contrast of another one, which Lucas-Kanade needs."""
+    (mean, sigma), (other_mean, other_sigma) = (np.ravel(cv2.meanStdDev(x)) for x in (image, other))
+    gain = other_sigma / max(sigma, 1.0)
+    return np.asarray(cv2.addWeighted(image, gain, image, 0.0, other_mean - gain * mean), np.uint8)
 
 
 class _Fit(NamedTuple):

@@ -37,6 +37,15 @@ def test_rig_that_does_not_fit_has_no_lag() -> None:
     assert abs(lag.value) < 0.15
 
 
+@pytest.mark.parametrize("late", [0, 1])
+def test_exposure_of_the_other_camera_does_not_matter(late: int) -> None:
+    right = np.asarray(0.5 * approach(5 - late, is_right=True) + 20, np.uint8)
+    lag = measured_lag(approach(4), approach(5), right)
+    assert lag is not None
+    assert lag.is_known
+    assert lag.value == pytest.approx(late, abs=0.1)
+
+
 def test_static_scene_is_unknown() -> None:
     noise = np.random.default_rng(3).normal(0, 2, (3, 260, 480))
     left, right = approach(5).astype(float), approach(5, is_right=True).astype(float)

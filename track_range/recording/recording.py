@@ -306,9 +306,9 @@ def _drift_monitors(calibration: RecordingCalibration, pair: PairedVideos) -> tu
     return () if monitor is None or isinstance(pair, LivePair) else (monitor,)
 
 
-def _sync_monitors(pair: PairedVideos) -> tuple[SyncMonitor]:
+def _sync_monitors(pair: PairedVideos, **period: int) -> tuple[SyncMonitor]:
     """The monitor that re-pairs frames; those of streams do not wait for others."""
-    return (SyncMonitor(0 if isinstance(pair, LivePair) else FRAMES_AHEAD),)
+    return (SyncMonitor(0 if isinstance(pair, LivePair) else FRAMES_AHEAD, **period),)
 
 
 def _first_frames(

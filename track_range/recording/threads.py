@@ -15,7 +15,9 @@ from track_range.foundation.processes import n_usable_cores
 DECODER_THREADS = 1 if n_usable_cores() <= 2 else 2
 """FFmpeg's threads per video; few, since left and right are decoded in parallel with each other and with a detector."""
 
-FRAMES_AHEAD = 4  # frames decoded ahead per video of a pair; a frame of 1242x375 px takes 1.4 MB
+# Frames decoded ahead per video of a pair, and frames that wait for the check of synchronisation (at first twice as
+# many); a frame of 1242x375 px takes 1.4 MB.
+FRAMES_AHEAD = 4
 LIVE_FRAMES = 8  # newest frames of a live stream that are stored; pairs are formed from them
 
 MAX_LOOK_AHEAD_BYTES = 1_000_000_000

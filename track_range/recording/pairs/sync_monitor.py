@@ -37,7 +37,7 @@ _SAME, _OTHER = 0.4, 0.6  # largest lag in frames of simultaneous images, and sm
 _N_AGREEING, _N_CONTRADICTING = 2, 3  # successive checks after which a lag counts, or that there is none that fits
 
 _PERIOD = 8  # frames between two checks without a reason
-_INCOME, _MAX_CREDIT = 1 / 7, 60.0  # measurements (3 ms each) per frame in the long run, and at most at once
+_INCOME, _MAX_CREDIT = 1.15, 60.0  # measurements (3 ms each) per period in the long run, and at most at once
 _N_FAILED = MAX_LAG + 1  # successive checks without a result after which all lags are tried: their images are there
 _CLEAR_RATIO = 0.15  # change of the logarithm of the ratio of right and left changes that is a reason for a check
 
@@ -65,6 +65,7 @@ class _Entry:
     small: tuple[Image, Image]
     shift: int | None  # the right image of its moment is that many frames later; None = stereo is off
     repeated: tuple[bool, bool] = (False, False)  # whether the left and the right image are those of the frame before
+    is_unknown: bool = False  # whether stereo is off since left and right do not agree, which may have other reasons
 
 
 @dataclass(slots=True)
@@ -75,6 +76,7 @@ class SyncMonitor:
     """
 
     n_ahead: int = 0
+    period: int = _PERIOD
     findings: list[SyncFinding] = field(default_factory=list)
     _entries: deque[_Entry] = field(default_factory=deque)  # the last frames; the newest ones wait
     _n_waiting: int = 0
@@ -104,11 +106,11 @@ class SyncMonitor:
         entry = _Entry(frame, (_small(frame.left), _small(frame.right)), self._shift)
         self._entries.append(entry)
         self._n_waiting += 1
-        self._credit = min(self._credit + _INCOME, _MAX_CREDIT)
+        self._credit = min(self._credit + _INCOME / self.period, _MAX_CREDIT)
         self._n_unchecked += 1
         if len(self._entries) > 1:
             self._compare(entry, self._entries[-2])
-            is_due = self._is_urgent or self._n_unchecked >= _PERIOD
+            is_due = self._is_urgent or self._n_unchecked >= self.period
             if is_due and self._credit >= 1 and not any(entry.repeated):
                 self._check(entry)
         n_ahead = self.n_ahead if self._is_settled else 2 * self.n_ahead
@@ -136,7 +138,7 @@ class SyncMonitor:
         """Add the frame to the findings."""
         before, self._last = self._last, None
         shift, frame = entry.shift or 0, entry.frame
-        if is_off or shift:
+        if shift or (is_off and not entry.is_unknown):
             side: Side = "left" if shift < 0 or entry.repeated[0] else "right"
             kind: Kind = "repeated" if any(entry.repeated) else "lag" if shift else "apart"
             if before is None or (before.kind, before.side, before.lag_frames) != (kind, side, abs(shift)):
@@ -172,7 +174,8 @@ class SyncMonitor:
         if _is_other(lag):
             entry.shift = None
         elif best is None:
-            self._is_urgent = self._n_failed <= _N_FAILED
+            self._is_urgent = entry.is_unknown = self._n_failed <= _N_FAILED
+            entry.shift = None if entry.is_unknown else entry.shift
             return
         if best is not None and best == self._shift:
             self._candidate, self._n_votes, self._is_settled = None, 0, True
