@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections import deque
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -54,6 +55,7 @@ _ODOMETRY_SIGMA = 0.01  # of the scale of stereo odometry with a right rig
 _LANE_SIGMA = 0.1  # of the opening of lane lines, in addition to the width of the lane
 _FREE_SIGMA = 3.0  # of a mistake
 _MAX_MPS, _MAX_MPS_SIGMA = 45.0, 0.15  # speed that vehicles hardly exceed, and the sigma of its logarithm
+_N_STEADY, _STEADY = 8, 1.3  # frames of a speed, and its largest change: odometry of unrelated images is not steady
 _DOUBTFUL = 9.0  # difference of chi-squared of a doubt
 _NEARLY = 4.0  # largest difference between causes that both fit; price of a factor without a known mistake
 _TAILS = 4.0  # largest chi-squared of a usual height and of a usual lane
@@ -120,6 +122,7 @@ class ScaleCheck:
         self._shapes = (
             ShapeCheck(camera, sizes) if isinstance(sizes, CuboidSizes) and focal_sigma <= _KNOWN_FOCAL else None
         )
+        self._speeds_mps: deque[float] = deque(maxlen=_N_STEADY)
         self._max_mps = 0.0
         self._due_s = -math.inf
         self.doubt: ScaleDoubt | None = None  # the latest finding; None = no contradiction
@@ -151,7 +154,10 @@ class ScaleCheck:
             if opening > 0:
                 self._log_openings.append(math.log(opening * self._camera.fy_px / self._camera.fx_px))
         if by_pair is not None:
-            self._max_mps = float(np.fmax(self._max_mps, by_pair.speed_mps))
+            self._speeds_mps.append(by_pair.speed_mps)
+            low_mps = float(np.min(self._speeds_mps))
+            if len(self._speeds_mps) == _N_STEADY and np.max(self._speeds_mps) < _STEADY * low_mps:  # False for NaN
+                self._max_mps = max(self._max_mps, low_mps)
             if by_road is not None:
                 self._pair_height.update(time_s, by_pair, by_road)
         if given is not None and math.isfinite(given.speed_mps):

@@ -34,6 +34,7 @@ def check_of(
     speed=None,
     focal=1.0,
     lane_m=None,
+    is_steady=True,
     **given,
 ):
     """The check after a drive with `n` cars, in which what was told is wrong by the factors `rig`, `speed`, `focal`.
@@ -62,7 +63,9 @@ def check_of(
             distance_m = true_m * rig * np.exp(rng.normal(0, 0.01, n))
             stereo = Ranges(ids, distance_m, 0.02 * distance_m)
         has_speed = math.isfinite(true_mps)
-        by_pair = EgoMotion(true_mps * rig * focal, 0.2) if rig is not None and has_speed else None
+        by_pair = None
+        if rig is not None and has_speed:
+            by_pair = EgoMotion(true_mps * rig * focal * (1.0 if is_steady else rng.uniform(0.3, 1.0)), 0.2)
         by_road = EgoMotion(true_mps * focal * ROAD_HEIGHT_M / true_height_m * math.exp(rng.normal(0, 0.02)), 0.2)
         check.update(
             tracks,
@@ -150,6 +153,7 @@ def test_speeds_of_no_car():
     assert doubt.factor > 2.0
     assert "baseline" in causes(doubt)
     assert check_of(1.0, n=2, true_mps=40.0, has_road=False).doubt is None
+    assert check_of(1.0, n=1, true_mps=160.0, is_steady=False, has_road=False).doubt is None  # unrelated images
 
 
 def test_without_evidence_the_baseline_cannot_be_checked():
