@@ -34,7 +34,7 @@ from track_range.recording.pairs.auto_alignment import (
 from track_range.recording.pairs.live_pair import LivePair
 from track_range.recording.pairs.pair_monitor import PairMonitor
 from track_range.recording.pairs.recorded_pair import RecordedPair
-from track_range.recording.pairs.sync_monitor import SyncMonitor
+from track_range.recording.pairs.sync_monitor import PERIOD, SyncMonitor
 from track_range.recording.pairs.video_pair import VideoPair
 from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.threads import FRAMES_AHEAD
@@ -51,6 +51,8 @@ PairedVideos = RecordedPair | LivePair
 Monitor = PairMonitor | SyncMonitor | DriftMonitor  # a check that receives each frame once, in order of time
 
 _UNSTEADY = "not measured, since rows of left and right change, as in images of different times"
+
+_FIRST_PERIOD = 2  # frames between two checks of the synchronisation of those from which the alignment is estimated
 
 
 @dataclass(frozen=True, slots=True)
@@ -306,9 +308,9 @@ def _drift_monitors(calibration: RecordingCalibration, pair: PairedVideos) -> tu
     return () if monitor is None or isinstance(pair, LivePair) else (monitor,)
 
 
-def _sync_monitors(pair: PairedVideos, **period: int) -> tuple[SyncMonitor]:
+def _sync_monitors(pair: PairedVideos, *, period: int = PERIOD) -> tuple[SyncMonitor]:
     """The monitor that re-pairs frames; those of streams do not wait for others."""
-    return (SyncMonitor(0 if isinstance(pair, LivePair) else FRAMES_AHEAD, **period),)
+    return (SyncMonitor(0 if isinstance(pair, LivePair) else FRAMES_AHEAD, period),)
 
 
 def _first_frames(
@@ -318,7 +320,7 @@ def _first_frames(
     first_s, last_s = math.nan, -math.inf
     with closing(pair.read_ahead()) as images:
         frames = (calibration.frame(left, right, pair.left.first_time_s) for left, right in images)
-        for frame in frames if check is None else _sync_monitors(pair)[0].paired(frames):
+        for frame in frames if check is None else _sync_monitors(pair, period=_FIRST_PERIOD)[0].paired(frames):
             first_s = frame.time_s if math.isnan(first_s) else first_s
             if frame.time_s - last_s >= MIN_STEP_S:
                 if check is not None:

@@ -36,7 +36,7 @@ _MIN_STEP_S, _STEPS = 0.07, (-1, -2, -3, 1, 2, 3)  # time between the two left i
 _SAME, _OTHER = 0.4, 0.6  # largest lag in frames of simultaneous images, and smallest one of others
 _N_AGREEING, _N_CONTRADICTING = 2, 3  # successive checks after which a lag counts, or that there is none that fits
 
-_PERIOD = 8  # frames between two checks without a reason
+PERIOD = 8  # frames between two checks without a reason
 _INCOME, _MAX_CREDIT = 1.15, 60.0  # measurements (3 ms each) per period in the long run, and at most at once
 _N_FAILED = MAX_LAG + 1  # successive checks without a result after which all lags are tried: their images are there
 _CLEAR_RATIO = 0.15  # change of the logarithm of the ratio of right and left changes that is a reason for a check
@@ -76,7 +76,7 @@ class SyncMonitor:
     """
 
     n_ahead: int = 0
-    period: int = _PERIOD
+    period: int = PERIOD
     findings: list[SyncFinding] = field(default_factory=list)
     _entries: deque[_Entry] = field(default_factory=deque)  # the last frames; the newest ones wait
     _n_waiting: int = 0
@@ -88,7 +88,7 @@ class SyncMonitor:
     _last: SyncFinding | None = None  # the finding of the last frame that was returned
     _usual: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=_N_USUAL))
     _credit: float = _MAX_CREDIT
-    _n_unchecked: int = _PERIOD
+    _n_unchecked: int = PERIOD
     _is_of_right: bool = True  # whether the last check was made from the motion in the right video
     _is_urgent: bool = False  # whether there is a reason to check the next frame
 
