@@ -9,9 +9,7 @@ import numpy as np
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 
 _MIN_AREA_PX2 = float(np.finfo(np.float64).tiny)  # smallest divisor of an IoU, so that two empty boxes have an IoU of 0
-
-_NMS_BLOCK = 128
-"""Boxes per block of `nms`, chosen by measurement: larger blocks compare too many pairs, smaller ones add calls."""
+_NMS_BLOCK = 128  # boxes per block of `nms`, by measurement: larger ones compare too many pairs, smaller ones add calls
 
 
 def xyxy_from_cxcywh(cxcywh: FloatArray) -> FloatArray:

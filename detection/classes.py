@@ -33,9 +33,7 @@ ROAD_CLASS_OF = {
 For detectors' class names. For KITTI's ground truth, `KITTI_IGNORED` excludes some of these names.
 """
 
-_KINDS = ("stop sign", "van", "cyclist", "person_sitting")
-"""Names in `ROAD_CLASS_OF` of only some of the objects of their road class."""
-
+_KINDS = ("stop sign", "van", "cyclist", "person_sitting")  # names in `ROAD_CLASS_OF` for only part of their class
 SAME_OBJECT_GROUP: IntArray = np.array([0, 1, 2, 1, 2, 2, 3, 4])
 """(8,) group number by class_id: detectors confuse the classes of one group with each other on the same object."""
 
@@ -57,9 +55,7 @@ COCO_CLASSES = (
 # fmt: on
 """COCO's 80 class names, in the order that networks trained on COCO use."""
 
-_UNUSED_COCO_IDS = (0, 12, 26, 29, 30, 45, 66, 68, 69, 71, 83)
-"""Category ids up to 90 that COCO's annotations do not use."""
-
+_UNUSED_COCO_IDS = (0, 12, 26, 29, 30, 45, 66, 68, 69, 71, 83)  # ids that COCO's annotations do not use
 _COCO_NAME_OF_ID = dict(zip((i for i in range(91) if i not in _UNUSED_COCO_IDS), COCO_CLASSES, strict=True))
 
 COCO_CATEGORIES = tuple(_COCO_NAME_OF_ID.get(i, "N/A") for i in range(91))
@@ -74,8 +70,7 @@ VOC_CLASSES = (
 """Pascal VOC's 20 class names, in alphabetical order as networks trained on VOC use them."""
 
 
-ROAD_CLASS_TABLE = ", ".join(f"{class_id} {name}" for class_id, name in enumerate(ROAD_CLASSES))
-"""All road classes with their ids, for messages."""
+ROAD_CLASS_TABLE = ", ".join(f"{class_id} {name}" for class_id, name in enumerate(ROAD_CLASSES))  # for messages
 
 
 class ClassNameError(UserError, ValueError):

@@ -18,9 +18,7 @@ from track_range.detection.boxes import iou
 from track_range.detection.classes import SAME_OBJECT_GROUP
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 
-Classes = Literal["similar", "same", "any"]
-"""Classes of a track and a detection that may be matched: those that detectors confuse, equal ones, or all."""
-
+Classes = Literal["similar", "same", "any"]  # similar: confused by detectors
 _UNRELATED_COST = 0.95  # 1 - IoU above which a track and a detection are not candidates for each other
 _MAX_DENSE = 128 * 128  # size up to which one assignment is faster than matching unambiguous pairs first
 

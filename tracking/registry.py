@@ -81,8 +81,7 @@ class TrackerOptions:
     flow: BackgroundFlow | None = None
 
 
-TrackerFactory = Callable[[TrackerOptions], ObjectTracker]
-"""A class or function that makes a new tracker from `TrackerOptions`."""
+TrackerFactory = Callable[[TrackerOptions], ObjectTracker]  # class or function that makes a tracker
 
 
 class TrackerError(UserError):

@@ -113,9 +113,7 @@ def _folded(operation: Convolution, values: npt.NDArray[np.float64]) -> tuple[Fl
     return weights.astype(np.float32), bias.astype(np.float32)
 
 
-_OPSET, _IR_VERSION = 13, 8
-"""ONNX operator set and file format, both of 2021, which onnxruntime 1.20 and TensorRT 8 support."""
-
+_OPSET, _IR_VERSION = 13, 8  # of ONNX, both of 2021, which onnxruntime 1.20 and TensorRT 8 support
 _STRETCH_NOTE = (
     "Without letter_box=1 in the cfg, Darknet resizes images without preserving their aspect ratio; the imported model "
     "preserves it (letterbox centred-128). Use --letterbox stretch for Darknet's behaviour."

@@ -186,9 +186,7 @@ def read_layers(path: Path) -> tuple[CfgSection, list[CfgSection], Network]:
     return net, [section for section in sections if section.kind == "yolo"], network
 
 
-_NET_SIZES: Mapping[str, int | None] = {"channels": 3, "height": None, "width": None}
-"""Options of [net] with the input's shape, and their defaults; None = no default."""
-
+_NET_SIZES: Mapping[str, int | None] = {"channels": 3, "height": None, "width": None}  # of [net]; None = no default
 _MAX_SIDE_PX = 8192  # of the input, as for ONNX models
 _MAX_VALUES = 2**28  # of a layer's output: 1 GB
 _MAX_ANCHOR_PX = 65535

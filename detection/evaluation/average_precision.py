@@ -22,12 +22,8 @@ from track_range.detection.formats.image_labels.image_truth import ImageTruth
 from track_range.foundation.arrays import FloatArray, IntArray
 
 RECALL_POINTS: FloatArray = np.linspace(0.0, 1.0, 101)  # as in COCO
-
-PRECISIONS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
-"""Precisions at which the recall is reported, so that detectors can be compared at equal precision."""
-
-MIN_BOXES = 50
-"""Minimum number of labels of a class that is included in the means; metrics from fewer labels vary too much."""
+PRECISIONS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)  # at which recalls are reported, so that detectors can be compared
+MIN_BOXES = 50  # of a class in the means; metrics from fewer labels vary too much
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -24,9 +24,7 @@ from track_range.foundation.arrays import BoolArray, FloatArray
 
 IOU_THRESHOLDS: FloatArray = np.linspace(0.5, 0.95, 10)  # of AP50-95, as in COCO
 MAX_DETECTIONS = 100  # per image and class, as in COCO
-
-SizeMeasure = Literal["area", "height"]
-"""Measure of the size of a box: its area in square pixels or its height in pixels, both of the image."""
+SizeMeasure = Literal["area", "height"]  # area in square pixels or height in pixels, in the image
 
 
 @dataclass(frozen=True, slots=True)

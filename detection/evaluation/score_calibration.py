@@ -32,10 +32,7 @@ from track_range.detection.formats.image_labels.image_truth import ImageTruth
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 
 N_BINS = 10
-
-MIN_SCORE = 0.05
-"""Lowest score of the detections: the many boxes below it, which no tracker uses, would dominate the ECE."""
-
+MIN_SCORE = 0.05  # of the detections: the many boxes below it, which no tracker uses, would dominate the ECE
 MIN_IOU = 0.5
 
 

@@ -31,9 +31,7 @@ from track_range.detection.evaluation.score_calibration import MIN_SCORE, Reliab
 from track_range.detection.formats.image_labels.image_truth import ImageTruth
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 
-LOWEST_SCORE = 0.02
-"""Lowest score of the detections to be fitted: lower ones are far below any threshold, and would dominate the fit."""
-
+LOWEST_SCORE = 0.02  # of the detections to be fitted: lower ones, far below any threshold, would dominate the fit
 BACKGROUND_SCORE = 1e-4  # a score of background, of which an image has thousands of boxes
 MIN_POSITIVES = 40  # minimum number of matches for which a class has its own coefficients
 _SHARED_PENALTY, _SLOPE_PENALTY, _OFFSET_PENALTY = 2.0, 8.0, 2.0  # of alpha, alpha_c and beta_c

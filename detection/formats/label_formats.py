@@ -72,8 +72,7 @@ _FORMATS = (
                 is_of_run=True),
 )
 # fmt: on
-LABEL_FORMATS = {label_format.name: label_format for label_format in _FORMATS}
-"""All formats by name, the least specific one first: a file has the last one that recognises it."""
+LABEL_FORMATS = {label_format.name: label_format for label_format in _FORMATS}  # the last that recognises a file
 
 
 def label_format_of(path: Path, expected: str = "labels") -> LabelFormat:

@@ -25,23 +25,15 @@ from track_range.foundation.arrays import BoolArray, FloatArray, Image, check_sh
 from track_range.foundation.robust_statistics import median_of
 
 Float32Array = npt.NDArray[np.float32]
-
-_WIDTH_PX = 640
-"""Approximate width of the downscaled image; only integer factors, because others take ten times as long."""
-
+_WIDTH_PX = 640  # approximate width of the downscaled image, by an integer factor: others take ten times as long
 _ROW_STEP = 2  # every second row is searched
-
-_MIN_DEPTH = 0.05
-"""First row searched, in image heights below the horizon; closer to the horizon, paint is one pixel wide."""
-
+_MIN_DEPTH = 0.05  # first row, in image heights below the horizon; closer to it, paint is one pixel wide
 _N_BANDS = 5  # number of bands of rows, each with one value of s
 _PAINT_SLOPE = 0.13  # s per row below the horizon, for a line of 0.2 m seen from a height of 1.5 m
 _MIN_CONTRAST = 14.0  # smallest response of a bar, in grey levels
 _MIN_TEXTURE_RATIO = 4.0  # smallest response of a bar, in robust standard deviations of differences over s in its row
 _SIGMA_PX = 1.0  # standard deviation of a marking's x, in pixels of the downscaled image
-
-_GREY_AND_YELLOW = np.array([[1 / 3, 1 / 3, 1 / 3], [-1.0, 0.5, 0.5]], np.float32)
-"""Weights of blue, green and red in the grey and the yellow channel."""
+_GREY_AND_YELLOW = np.array([[1 / 3, 1 / 3, 1 / 3], [-1.0, 0.5, 0.5]], np.float32)  # weights of BGR
 
 
 class EdgeLaneFinder:

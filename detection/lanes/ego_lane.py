@@ -116,10 +116,7 @@ _MAX_JUMP = 0.25  # of the lane between images, in lane widths in a near row
 _WIDTH_SLOPE_LIMITS = (0.8, 6.0)  # plausible lane width / camera height
 _LEARNT_SIGMA = 0.13  # of the logarithm of that ratio in a drive: lanes are 3.0 to 3.75 m wide
 _OBSERVED_SIGMA = 1.0  # of it as one image shows it: a wrong lane stays wrong in many images
-
-_MAX_CLUTTER = 1.2
-"""Largest `LaneFit.clutter` of a lane: it is 0 to 0.7 on roads, and 2 to 3 in tree shade, which has edges all over."""
-
+_MAX_CLUTTER = 1.2  # largest `LaneFit.clutter`: 0 to 0.7 on roads, 2 to 3 in tree shade, which has edges all over
 _MIN_SUPPORT = 0.3  # of a line, relative to the one with the largest support in the image
 _MAX_SIGMAS = 3.0  # deviation of a pair in each of the quantities of a typical lane
 _OFFSET_SIGMA = 0.25  # of the camera's lateral offset from the lane centre, in lane widths
@@ -127,9 +124,7 @@ _CENTRE_SIGMA = 0.15  # of the vanishing point's x from the image centre, in ima
 _COST = 0.2  # of a deviation of one sigma, in units of support
 _MIN_SCORE = 0.3  # of a pair: two lines of full support (2) may deviate by a total of 3 sigmas
 _TRACKED_SIGMA = 0.12  # of a line's x from the tracked lane, in lane widths
-
-_MAX_DEPARTURE = 1.5
-"""Largest squared distance from the tracked lane, in sigmas squared; the limit allows recovery from a wrong lane."""
+_MAX_DEPARTURE = 1.5  # from the tracked lane, in sigmas squared, large enough to recover from a wrong lane
 
 
 class EgoLane:

@@ -13,9 +13,7 @@ import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
 
-_CANVAS_WIDTH_PX = 480
-"""Width of the Hough transform's image; smaller than the input to save time, larger than needed to separate lines."""
-
+_CANVAS_WIDTH_PX = 480  # of the Hough transform: small to save time, large enough to separate lines
 _MIN_VOTES = 6  # of a line in the Hough transform
 _MAX_HOUGH_LINES, _MAX_PROPOSALS = 400, 40  # lines of the Hough transform, and proposals
 _MIN_DISTANCE = 0.015  # of two proposals in a near or a middle row, in image widths

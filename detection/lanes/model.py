@@ -20,16 +20,10 @@ WIDTH_SLOPE, WIDTH_SLOPE_LOG_SIGMA = 2.3, 0.35
 """Typical lane width / camera height and the standard deviation of its logarithm: the ratio is 2.1 with the camera on
 the roof of a car, 2.5 behind a windscreen, 1.4 in a truck."""
 
-HORIZON, HORIZON_SIGMA = 0.48, 0.12
-"""Typical row of the horizon of a forward-looking camera and its standard deviation, in image heights."""
-
+HORIZON, HORIZON_SIGMA = 0.48, 0.12  # typical row for a forward-looking camera, in image heights
 _REFERENCE_ROW = 0.75  # y0, in image heights
-
-_PRIOR_SIGMA = np.array([0.3, 0.6, np.nan, np.nan, 0.5])
-"""Initial standard deviations of a, b and c, in image heights; those of d and s follow from the observed width."""
-
-_RANDOM_WALK = np.array([0.15, 0.25, 0.03, 0.04, 0.2])
-"""Process noise of a, b, d, s, c as a standard deviation, in image heights per root second."""
+_PRIOR_SIGMA = np.array([0.3, 0.6, np.nan, np.nan, 0.5])  # of a, b, c in image heights; d, s: from the width
+_RANDOM_WALK = np.array([0.15, 0.25, 0.03, 0.04, 0.2])  # of a, b, d, s, c, image heights per root second
 
 
 @dataclass(frozen=True, slots=True)

@@ -111,11 +111,8 @@ def is_row_anchor_shape(shape: tuple[int, ...]) -> bool:
     return len(shape) == 4 and shape[1] > 2 and shape[2] in ROW_ANCHORS and shape[3] == ROW_ANCHOR_LINES
 
 
-_IMAGENET = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
-"""Mean and standard deviation of red, green and blue in ImageNet, of pixels / 255."""
-
-_LSTR = ((0.40789654, 0.44719302, 0.47026115), (0.28863828, 0.27408164, 0.27809835))
-"""Mean and standard deviation of blue, green and red in LSTR's training, of pixels / 255."""
+_IMAGENET = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))  # mean and sigma of red, green and blue / 255
+_LSTR = ((0.40789654, 0.44719302, 0.47026115), (0.28863828, 0.27408164, 0.27809835))  # BGR in LSTR's training
 
 _UNSCALED = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
 _MAX_VIEWS = 5  # of one image while the row of the horizon is unknown

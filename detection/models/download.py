@@ -22,9 +22,7 @@ from track_range.foundation.errors import UserError
 from track_range.foundation.files.atomic_files import write_text
 from track_range.foundation.files.input_files import shortened
 
-Progress = Callable[[int, int | None], None]
-"""Called with the number of bytes downloaded so far, and the total if the server reports it."""
-
+Progress = Callable[[int, int | None], None]  # (bytes so far, total if the server reports it)
 _CHUNK_BYTES = 1 << 18
 _MAX_UNPUBLISHED_BYTES = 1_000_000  # files of unpublished size are text of a few kB
 _TIMEOUT_S = 30.0

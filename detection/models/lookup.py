@@ -16,10 +16,7 @@ from track_range.foundation.files.input_files import shortened
 
 PACKAGED_FOLDER = Path(__file__).parents[1] / "weights"  # of the models that are part of track-range
 DEFAULT_MODEL = "road"  # the packaged detector of road users
-
-_FILE_SUFFIXES = frozenset({".onnx", ".weights", ".cfg", ".pt", ".pth", ".engine", ".tflite"})
-"""Suffixes that mark a name as a path, for the error message."""
-
+_FILE_SUFFIXES = frozenset({".onnx", ".weights", ".cfg", ".pt", ".pth", ".engine", ".tflite"})  # of paths, not names
 Origin = Literal["file", "packaged", "cached", "catalogue"]
 
 

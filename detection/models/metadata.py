@@ -35,9 +35,7 @@ from track_range.foundation.files.input_files import MAX_TEXT_BYTES, quoted, sho
 from track_range.foundation.files.structured_text import parse_json, read_yaml
 
 _MAX_REASON = 160  # characters of the description of an invalid value
-
-Anchors = tuple[tuple[tuple[float, float], ...], ...]
-"""For each output head, usually the coarsest grid first, (width, height) of its anchors in input pixels."""
+Anchors = tuple[tuple[tuple[float, float], ...], ...]  # (width, height) in input px, by head
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,8 +111,7 @@ def _rfdetr_metadata(metadata: Mapping[str, str]) -> dict[str, str]:
     return texts
 
 
-RT_DETR_DESCRIPTION = "RT-DETR by its description"
-"""Value of `head` for RT-DETR of older versions of Ultralytics, whose metadata only have a description."""
+RT_DETR_DESCRIPTION = "RT-DETR by its description"  # of older Ultralytics, whose metadata have no more
 
 
 def _parsed(parse: Callable[[Any], Any], value: object, place: str) -> Any:
@@ -164,9 +161,7 @@ def names_of(value: object) -> tuple[str, ...]:
     return tuple(str(name) for name in value)
 
 
-_MAX_HEADS, _MAX_ANCHORS = 16, 64
-"""Largest numbers of output heads, and of anchors in a head; YOLO networks have 1 to 5 of each."""
-
+_MAX_HEADS, _MAX_ANCHORS = 16, 64  # of a network, and in a head; YOLO networks have 1 to 5 of each
 _ANCHORS_EXPECTED = "expected positive width,height pairs for every head, such as '81,82 135,169 / 23,27 37,58'"
 
 

@@ -32,10 +32,7 @@ _MAX_SIDE = 8192  # of the input in any dimension
 _MAX_VALUES = 2**28  # of the input: 1 GB of float32
 
 _INPUT_TYPES = ("tensor(float)", "tensor(float16)")
-
-TARGET_SIZES = "orig_target_sizes"
-"""Name of the input [batch, 2] of RT-DETR, D-FINE and DEIM: width and height to which the network scales its boxes."""
-
+TARGET_SIZES = "orig_target_sizes"  # input [batch, 2] of RT-DETR, D-FINE, DEIM: size to which boxes are scaled
 _SIZE_TYPES = {"tensor(int64)": np.int64, "tensor(int32)": np.int32, "tensor(float)": np.float32}
 _LOCATION_KEY = b"location"  # of the path of external data in ONNX files
 _MAX_REASON = 160  # characters of a library's message

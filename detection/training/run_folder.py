@@ -31,8 +31,7 @@ _OPTION = {
 # fmt: on
 """Command line option by the key of a run's identity, for messages."""
 
-_DEFAULT = {"n_last_epochs": 0, "n_int8_epochs": 0}
-"""Settings of checkpoints that were written before there was such a setting."""
+_DEFAULT = {"n_last_epochs": 0, "n_int8_epochs": 0}  # of checkpoints older than these settings
 
 
 def save_checkpoint(path: Path, content: Mapping[str, Any]) -> None:

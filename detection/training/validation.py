@@ -18,9 +18,7 @@ from track_range.detection.yolo.input_format import InputFormat
 from track_range.detection.yolo.letterbox import Letterbox, rectangular_input_hw
 from track_range.foundation.arrays import Image, IntArray
 
-LOWEST_SCORE = 0.001
-"""Score threshold of detections in the validation; low, so that the precision-recall curve is complete."""
-
+LOWEST_SCORE = 0.001  # of the detections; low, so that the precision-recall curve is complete
 _MAX_IOU, _MAX_BOXES = 0.5, 300  # IoU threshold of non-maximum suppression, and largest number of boxes per image
 _WORKING_SCORE = 0.25  # score threshold of the reported precision and recall
 

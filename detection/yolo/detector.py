@@ -37,13 +37,8 @@ from track_range.foundation.arrays import FloatArray, FloatArray32, Image, IntAr
 from track_range.foundation.files.input_files import quoted, shortened
 
 _MAX_BOUND = 8  # input sizes whose buffers are cached; binding a new size costs one run of the network
-
-DEFAULT_SIZE_PX = 640
-"""Longer side of a network's input of variable size, unless specified; most public networks were trained at it."""
-
-_SAME_BOX_IOU = 0.95
-"""IoU above which two boxes of an end-to-end network are the same box with two classes that are easily confused."""
-
+DEFAULT_SIZE_PX = 640  # longer side of an input of variable size; most public networks were trained at it
+_SAME_BOX_IOU = 0.95  # above it, two boxes of an end-to-end network are one with two classes that are easily confused
 _UNREACHABLE_SCORE = 2.0  # threshold of classes that are left out; scores are at most 1
 
 
@@ -75,8 +70,7 @@ class YoloSettings:
         return scores
 
 
-_Buffers = tuple[npt.NDArray[Any], Image]
-"""(1, 3, height, width) input of the network for one image, with its padding, and buffer of the resized image."""
+_Buffers = tuple[npt.NDArray[Any], Image]  # padded input (1, 3, height, width), and the resized image
 
 
 @dataclass(slots=True)

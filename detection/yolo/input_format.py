@@ -26,9 +26,7 @@ IMAGENET_MEAN: Triple = (0.485, 0.456, 0.406)
 IMAGENET_STD: Triple = (0.229, 0.224, 0.225)
 """Mean and standard deviation of ImageNet's pixels, RGB / 255, which many backbones are trained with."""
 
-LETTERBOXES = "centred-114, centred-128, top-left-114, stretch"
-"""Common values of `--letterbox`: a placement and the grey level (0..255) of the padding."""
-
+LETTERBOXES = "centred-114, centred-128, top-left-114, stretch"  # common `--letterbox`: placement, padding
 _LETTERBOX = re.compile(r"(centred|top-left|stretch)(?:-(\d{1,3}))?")
 
 

@@ -12,8 +12,7 @@ FloatArray = npt.NDArray[np.float64]
 FloatArray32 = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
-Rows = BoolArray | npt.NDArray[np.integer[Any]] | Sequence[int] | slice
-"""Selection of rows: a mask, row numbers or a slice."""
+Rows = BoolArray | npt.NDArray[np.integer[Any]] | Sequence[int] | slice  # mask, row numbers or slice
 Image = npt.NDArray[np.uint8]  # (H, W, 3) BGR or (H, W) grey
 
 

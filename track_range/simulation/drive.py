@@ -49,8 +49,7 @@ from track_range.simulation.world.truth import joined, visible_objects
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.rig_formats.rig_yaml import save_rig
 
-N_THREADS = min(4, os.cpu_count() or 1)
-"""Number of rendering threads, and of frames rendered ahead of the one that is written; images do not depend on it."""
+N_THREADS = min(4, os.cpu_count() or 1)  # for rendering, and frames rendered ahead; images do not depend on it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,13 +12,8 @@ from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
 
 ANY_CLASS = -1  # class_id of labels that are ignored for every class, such as KITTI's Misc
-
-ALL_COMPLETE: BoolArray = np.ones(len(ROAD_CLASSES), np.bool_)
-"""(8,) `ImageTruth.is_complete` of an image in which all road classes are labelled."""
-
-_KITTI_NEIGHBOUR = {"Van": "car", "Person_sitting": "person"}
-"""Types that KITTI's evaluation ignores, and the similar class that is evaluated."""
-
+ALL_COMPLETE: BoolArray = np.ones(len(ROAD_CLASSES), np.bool_)  # (8,) for images with all road classes labelled
+_KITTI_NEIGHBOUR = {"Van": "car", "Person_sitting": "person"}  # ignored types, and similar evaluated classes
 _KITTI_COMPLETE: BoolArray = np.isin(ROAD_CLASSES, ("person", "bicycle", "car", "truck"))
 """(8,) classes that KITTI labels: all but motorcycles, buses, traffic lights and traffic signs."""
 

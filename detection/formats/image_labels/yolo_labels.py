@@ -23,9 +23,7 @@ from track_range.foundation.files.structured_text import read_yaml
 
 _NAME_FILES = ("classes.txt", "data.yaml", "data.yml", "obj.names")  # in the order in which they are tried
 _MAX_VALUE = 100_000  # of a class number, fraction or score
-
-_TOLERANCE = 2e-3
-"""Distance outside the image, as a fraction of its size, up to which boxes are clipped without a note (rounding)."""
+_TOLERANCE = 2e-3  # of the image size: boxes this far outside are clipped without a note (rounding)
 
 
 @dataclass(frozen=True, slots=True)

@@ -47,9 +47,7 @@ from track_range.foundation.files.input_files import quoted
 from track_range.foundation.files.numeric_text import number
 from track_range.foundation.files.structured_text import read_json
 
-MAX_COCO_BYTES = 250_000_000
-"""Size limit, bytes: about 1.2 million boxes, which take 2.5 GB of memory while they are read."""
-
+MAX_COCO_BYTES = 250_000_000  # about 1.2 million boxes, which take 2.5 GB of memory while they are read
 _DECIMALS, _SCORE_DECIMALS = 3, 4  # of pixels and metres, and of scores, in written files
 _FRAME_KEYS = ("frame_index", "frame_id")
 _IDENTITY_KEYS = ("track_id", "instance_id")

@@ -48,10 +48,7 @@ MAX_CVAT_BYTES = 500_000_000  # size limit, bytes: about two million boxes
 MAX_BOXES = 2_000_000  # largest number of boxes, including interpolated ones; they take 300 MB
 _MAX_NAME = 200  # characters of a label or name
 _MAX_META = 10_000  # elements of `meta` that are used
-
-_SHAPES = frozenset({"polygon", "polyline", "points", "mask", "cuboid", "ellipse", "skeleton"})
-"""Shapes of tracks other than boxes."""
-
+_SHAPES = frozenset({"polygon", "polyline", "points", "mask", "cuboid", "ellipse", "skeleton"})  # not boxes: refused
 _EDGES = ("xtl", "ytl", "xbr", "ybr")
 _FLAGS = {"0": False, "1": True, "false": False, "true": True}
 

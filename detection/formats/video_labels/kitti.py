@@ -31,10 +31,7 @@ from track_range.foundation.files.numeric_text import numbers
 
 _TRACKING_COLUMNS, _OBJECT_COLUMNS = 17, 15  # without the score
 _MAX_TYPE = 64  # characters
-
-_SEPARATOR = re.compile(r"[\s,]")
-"""Characters that a type cannot contain: white space, and the comma, since files with commas are not read as KITTI."""
-
+_SEPARATOR = re.compile(r"[\s,]")  # not in types: white space, and the comma, which KITTI's files do not have
 _MAX_VALUE = 1e6  # largest absolute value in metres, radians, or of a score; -1000 = unknown
 
 _LIMITS = (

@@ -92,10 +92,7 @@ class _DataYaml(BaseModel):
 
 
 _KITTI_NAMES = ("person", "bicycle", "car", "truck")  # road classes that KITTI labels
-
-_MIN_SCORE, _MIN_CAR_SCORE = 0.5, 0.4
-"""Minimum score of a pseudo-label that is used as an object: for most classes, and for cars."""
-
+_MIN_SCORE, _MIN_CAR_SCORE = 0.5, 0.4  # of pseudo-labels that are used: for most classes, and for cars
 _SAME_OBJECT_IOU = 0.5  # minimum IoU between a pseudo-label and a label of the same object
 _PERSON, _CAR = ROAD_CLASSES.index("person"), ROAD_CLASSES.index("car")
 _BACKGROUND_NOTE = "no label file: background"

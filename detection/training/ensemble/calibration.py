@@ -28,17 +28,10 @@ from track_range.detection.training.ensemble.fusion import FusedBoxes
 from track_range.detection.training.ensemble.views import MIN_SCORE
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 
-MIN_POSITIVES = 20
-"""Minimum number of matches to fit a class; others have the mean coefficients of the classes that are fitted."""
-
+MIN_POSITIVES = 20  # matches to fit a class; others have the mean coefficients of those that are fitted
 N_BINS = 5  # of probability, in which the calibration is verified
-
-_LOWEST, _HIGHEST = 0.01, 0.99
-"""Limits of the scores, so that log-odds are finite; a detector without a box has the lowest one."""
-
-_RIDGE = 1e-3
-"""Factor lambda of the ridge penalty: the fit has a solution also where matches are separated by the scores."""
-
+_LOWEST, _HIGHEST = 0.01, 0.99  # scores with finite log-odds; a detector without a box has the lowest one
+_RIDGE = 1e-3  # lambda of the ridge penalty: the fit has a solution also where scores separate the matches
 _FIRST_WEIGHT = 0.4
 
 _MATCH_IOU = 0.5  # of a fused box with the label of the same object

@@ -23,10 +23,7 @@ from track_range.foundation.files.input_files import real_path
 
 N_VIEWS = 2  # the image and its mirror image
 MIN_SCORE = 0.02  # lowest score of the boxes; low, since calibration decides what the scores mean
-
-_MAX_IOU, _MAX_BOXES = 0.6, 200
-"""IoU threshold of non-maximum suppression, and largest number of boxes per view; the fusion merges what remains."""
-
+_MAX_IOU, _MAX_BOXES = 0.6, 200  # of non-maximum suppression, and boxes per view; the fusion merges the rest
 _MIN_SIDE_PX = 2.0  # of a box in pixels of the image
 _N_COLUMNS = 6  # of stored boxes: xyxy, score, class_id
 

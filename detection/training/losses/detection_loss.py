@@ -59,8 +59,7 @@ class Batch:
     teacher: list[TeacherOutputs] | None = None  # outputs of the teacher for each head; None = no teacher
 
 
-Losses = Mapping[str, Tensor]
-"""The weighted parts of the loss per image by name; their sum times the batch size is minimised."""
+Losses = Mapping[str, Tensor]  # weighted parts per image by name; their sum times the batch size is minimised
 
 
 @dataclass(frozen=True, slots=True)

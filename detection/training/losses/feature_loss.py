@@ -22,9 +22,7 @@ from track_range.detection.training.networks.road_net import RoadNet
 from track_range.detection.training.teacher import Teacher
 
 _WEIGHT = 2.0  # relative to the losses of boxes and classes
-
-_RESOLUTION, _TINY = 1e-5, 1e-30
-"""Standard deviation of a constant channel by rounding, as a fraction of its values, and the smallest variance."""
+_RESOLUTION, _TINY = 1e-5, 1e-30  # rounding error of a constant channel, relative to it, and smallest variance
 
 
 class FeatureLoss(nn.Module):

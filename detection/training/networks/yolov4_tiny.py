@@ -20,9 +20,7 @@ from track_range.detection.yolo.layouts import YOLOV4_TINY_ANCHORS
 
 DEFAULT_ANCHORS_PX: Anchors = YOLOV4_TINY_ANCHORS[::-1]  # anchors in input pixels, stride 16 first
 _SCALE_X_Y = 1.05  # Darknet's factor on the range of the centre offsets
-
-_MAX_LOG_SIZE = 6.0
-"""Largest logarithm of the ratio of a box and its anchor (a ratio of 400), to avoid overflow early in training."""
+_MAX_LOG_SIZE = 6.0  # of a box relative to its anchor (a ratio of 400), to avoid overflow early in training
 
 
 class CspBlock(nn.Module):

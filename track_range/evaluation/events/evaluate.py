@@ -208,9 +208,7 @@ def _number(content: Any, *keys: str) -> float | None:
     return float(content) if isinstance(content, int | float) and not isinstance(content, bool) else None
 
 
-NEAREST_M, FARTHEST_M = 10.0, 40.0
-"""True distances at which closing speeds are scored, m: nearer, boxes are cut; farther, warnings hardly use them."""
-
+NEAREST_M, FARTHEST_M = 10.0, 40.0  # where closing speeds are scored: nearer, boxes are cut; farther, warnings are rare
 TALL = "tall vehicles"  # section of buses, trucks and vans, whose rear is far behind their tallest visible edge
 
 _TALL_CLASSES = ("bus", "truck", "van")

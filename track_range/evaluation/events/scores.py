@@ -220,16 +220,10 @@ def _rounded(value: float) -> float:
     return round(float(value), 4)
 
 
-MIN_IOU = 0.3
-"""Smallest overlap of a track with its object: boxes that the image border cuts, near a contact, fit badly."""
-
+MIN_IOU = 0.3  # of a track with its object: boxes that the image border cuts, near a contact, fit badly
 MARGIN_S = 1.0  # time before the start of an event for which its track is compared, s
-
-MIN_FRACTION = 0.2
-"""Smallest fraction of frames in which a track overlaps its object: objects that are largely hidden have no label."""
-
-WINDOW_S, SAME_ID_WINDOW_S = 10.0, 30.0
-"""Longest time from a warning to a contact of its class, and of its number too, where tracks or boxes are missing."""
+MIN_FRACTION = 0.2  # of the frames, in which a track overlaps its object: objects that are largely hidden have no label
+WINDOW_S, SAME_ID_WINDOW_S = 10.0, 30.0  # from a warning to a contact of its class, and of its number too
 
 
 @dataclass(frozen=True, slots=True)

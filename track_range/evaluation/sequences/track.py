@@ -43,9 +43,7 @@ from track_range.tracking.registry import ObjectTracker, RefinableTracker, check
 from track_range.tracking.tracks import Tracks
 
 DEFAULT_FPS = 10.0  # frame rate of sequences without seqinfo.ini: KITTI's
-
-_CLASS_OF_FOLDER = {"car": "car", "pedestrian": "person", "cyclist": "bicycle"}
-"""Road class by folder name, for RRC's files, which have no class column."""
+_CLASS_OF_FOLDER = {"car": "car", "pedestrian": "person", "cyclist": "bicycle"}  # RRC's files have no classes
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,9 +53,7 @@ if TYPE_CHECKING:
 _DETECTORS = OpenedDetectors()  # detector of this process, which its clips share
 _MAX_ERROR = 600  # longest error of a clip, in characters
 _MIN_BYTES_PER_S = 1000.0  # lowest plausible data rate of a video; a damaged header may state any duration
-
-_NOT_PUBLISHED = {"settings.yaml", TRACKS_FILE, EVENTS_PARQUET}
-"""Files of a run that contain paths of this machine, or are published elsewhere."""
+_NOT_PUBLISHED = {"settings.yaml", TRACKS_FILE, EVENTS_PARQUET}  # with paths, or published elsewhere
 
 
 class _PublishingError(Exception):

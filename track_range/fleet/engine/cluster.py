@@ -29,9 +29,7 @@ from track_range.foundation.library_telemetry import disable_telemetry
 from track_range.foundation.processes import n_usable_cores
 from track_range.run.interrupts import ignore_interrupts
 
-_OBJECT_STORE_BYTES = 80 * 2**20
-"""Object store of a cluster of this machine: Ray's minimum is 75 MB, and only settings and records pass through it."""
-
+_OBJECT_STORE_BYTES = 80 * 2**20  # on this machine: above Ray's minimum of 75 MB, for settings and records
 _MAX_FOLDER = 40  # longest temporary folder for Ray, whose sockets have paths of at most 107 characters
 _CONNECT_S = 15.0  # time limit for reaching the address of a cluster, s
 _END_S = 5.0  # time in which Ray's processes end after a shutdown, s

@@ -46,10 +46,7 @@ _REPEATED: frozenset[ErrorKind] = frozenset(("crash", "memory", "timeout", "fetc
 _N_ATTEMPTS, _N_ATTEMPTS_ELSEWHERE = 2, 4  # attempts for a clip, and those if workers died with other clips as well
 BASE_S = 60.0  # time for opening a clip, in addition to that for its frames
 _FETCH_BYTES_PER_S = 1e6  # lowest rate of downloads that is not taken for a hang
-
-_FRAMES_PER_S = 10.0
-"""Processed frames that extend the limit like a second of video: slow machines, and videos of high rate or size."""
-
+_FRAMES_PER_S = 10.0  # frames that extend the limit like 1 s of video: slow machines, videos of high rate or size
 _POLL_S = 0.5  # longest wait for the workers at a time, s
 _MAX_STARTS = 3  # workers that may die before any of them has started
 _END_S = 5.0  # longest wait for the end of cancelled workers of this machine, whose folders are then removed

@@ -14,12 +14,8 @@ from track_range.foundation.options import is_file, option_of, value_type
 from track_range.recording.telemetry.sidecars.reading import OXTS_NAME, TABLE_NAME, sidecar_names
 from track_range.run.settings import RunSettings
 
-CLIP_SETTINGS = RunSettings.fields_where(lambda field: option_of(field).is_per_clip)
-"""Names of the run settings that may differ from clip to clip."""
-
-TELEMETRY_ROLE = "telemetry_"
-"""Beginning of the roles of telemetry beside the left video, which a run finds by its place."""
-
+CLIP_SETTINGS = RunSettings.fields_where(lambda field: option_of(field).is_per_clip)  # that may differ between clips
+TELEMETRY_ROLE = "telemetry_"  # prefix of the roles of telemetry beside the left video, which a run finds by its place
 _RIG_NAMES = ("rig.yaml", "calib.txt")  # calibration files that a run finds beside the left video, the first counts
 _TIMESTAMPS = "timestamps.txt"  # file with the times of the images in a folder, which may lie beside it (KITTI)
 

@@ -35,8 +35,7 @@ _EXPECTED = "a manifest with the column left and optionally clip, right, rig, eg
 _FLEET_OPTIONS = RunSettings.fields_where(lambda field: option_of(field).is_shared)
 """Options of a run that are equal for all clips; as a label they would be read as a setting that has an effect."""
 
-_MAX_COLUMNS, _MAX_CELLS, _MAX_CELL = 1000, 50_000_000, 10_000
-"""Largest numbers of columns, of cells in a Parquet file, and of characters in a cell."""
+_MAX_COLUMNS, _MAX_CELLS, _MAX_CELL = 1000, 50_000_000, 10_000  # cells in a Parquet file, characters in a cell
 
 
 def manifest_clips(location: Location) -> list[Clip]:

@@ -42,10 +42,7 @@ if TYPE_CHECKING:
 
 CLIPS_FILE, TRACKS_FILE = "clips.parquet", "tracks.parquet"
 JOURNAL, RUNS, UNFINISHED = "journal", "runs", "unfinished"
-
-_COMPILE_S, _COMPILE_FRACTION = 10.0, 20.0
-"""Shortest time between two compilations, s, and relative to the time that one takes."""
-
+_COMPILE_S, _COMPILE_FRACTION = 10.0, 20.0  # shortest time between two compilations, s, and relative to that of one
 _ROWS_PER_GROUP = 10_000  # rows per row group of clips.parquet, about 7 MB in memory
 _MAX_NEWER = 3000  # rows in memory that are not compiled, of about 5 kB each
 _N_CONNECTIONS = 16  # requests to the storage at a time

@@ -17,9 +17,7 @@ from track_range.foundation.arrays import BoolArray, FloatArray
 if TYPE_CHECKING:
     import pyarrow as pa
 
-ALIGNMENT_FIGURES = ("row_offset_px", "offset_px")
-"""Figures of the alignment that show a drift: vertical offset, and constant error of the disparities."""
-
+ALIGNMENT_FIGURES = ("row_offset_px", "offset_px")  # vertical offset, and constant error of the disparities
 MAX_GROUPS = 100  # largest number of rows of the calibration drift
 _GROUP_COLUMNS = ("vehicle", "label_vehicle", "camera", "rig")  # columns that group it, the first that exists
 _ENDS = 5  # number of clips whose median is the first or last value of a drift

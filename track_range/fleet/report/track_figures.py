@@ -27,10 +27,7 @@ if TYPE_CHECKING:
 
 N_RANKED = 20  # number of tracks in a ranking
 EDGES_M = (0.0, *BANDS_M, float("inf"))  # edges of the distance bands: those of the evaluation, and all other distances
-
-COURSE_HALF_WIDTH_M = 2.0
-"""Largest lateral offset of an object on a collision course: half the width of the ego vehicle, and of the object."""
-
+COURSE_HALF_WIDTH_M = 2.0  # on a collision course: half the widths of the ego vehicle and the object
 _MAX_RELATIVE_SIGMA = 0.5  # largest standard deviation of a ranked distance or time to collision, relative to it
 _NOT_ROAD_USERS = ("traffic light", "traffic sign")  # classes that are not ranked
 _COURSE_S, _MIN_ROWS = 1.0, 4  # time in s over which the lateral speed is estimated, and smallest number of rows in it

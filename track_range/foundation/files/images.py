@@ -26,9 +26,7 @@ _MAX_PIXEL_BYTES, _MAX_EXTRA_BYTES = 16, 2**26
 """Largest number of stored bytes per pixel, four channels of 32 bits, and of bytes besides them: metadata, thumbnails,
 and films that phones append to photographs."""
 
-_MAX_HEADER_FIELDS, _MAX_SKIPPED_BYTES = 4096, 65_536
-"""Largest number of segments (JPEG) or tags (TIFF) in which the size is searched, and of bytes between two segments."""
-
+_MAX_HEADER_FIELDS, _MAX_SKIPPED_BYTES = 4096, 65_536  # segments or tags until the size, bytes between segments
 _PNG_START = b"\x89PNG\r\n\x1a\n"
 
 _JPEG_SIZES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # start-of-frame markers
@@ -38,10 +36,7 @@ _JPEG_START = b"\xff\xd8"
 _JPEG_END, _JPEG_SCAN = 0xD9, 0xDA
 _JPEG_MARKER = re.compile(rb"\xff([^\x00\x01\xd0-\xd7\xff])")  # a segment; not between the bytes of pixels
 _JPEG_BARE = frozenset({0x01, *range(0xD0, 0xD8)})  # markers without a length
-
-_TIFF_WIDTHS, _TIFF_HEIGHTS, _TIFF_SHORT = (256, 322), (257, 323), 3
-"""TIFF tags of the sizes of the image and of its tiles, and the type of 2-byte integers."""
-
+_TIFF_WIDTHS, _TIFF_HEIGHTS, _TIFF_SHORT = (256, 322), (257, 323), 3  # tags of image and tiles; 2-byte integers
 _PNM_SIZE = re.compile(rb"P[1-6](?:\s|#[^\n]*\n)+(\d{1,10})(?:\s|#[^\n]*\n)+(\d{1,10})\s")
 
 

@@ -19,16 +19,9 @@ from track_range.stereo.geometry.rig import StereoRig
 from track_range.views.video_writer import VideoWriter
 
 NEAR_LOSSLESS_CRF = 10  # x264's constant rate factor; compression then shifts textures by far less than 0.1 px
-
-PNG_COMPRESSION = 1
-"""PNG compression level, 0 to 9; files are a third larger than at level 9, but written five times as fast."""
-
-EDGE_PX = 1.0
-"""Largest range of disparities within a pixel, px; with a larger one it shows two objects and gets no disparity."""
-
-SURFACE_MARGIN_M = 0.04
-"""Tolerance for drawn points outside an object's 3-D box, and minimum height of its points above the road, m."""
-
+PNG_COMPRESSION = 1  # of 0 to 9; files are a third larger than at level 9, but written five times as fast
+EDGE_PX = 1.0  # largest range of disparities in a pixel; above it shows two objects and gets no disparity
+SURFACE_MARGIN_M = 0.04  # tolerance outside an object's 3-D box, and smallest height of its points above the road
 MIN_SAMPLES = 2  # minimum number of a pixel's four samples that show a head or plate
 
 

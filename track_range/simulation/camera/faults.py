@@ -17,9 +17,7 @@ from track_range.simulation.settings import Faults
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 
-BASELINE_FACTOR, FOCAL_FACTOR, PRINCIPAL_PX = 1.05, 1.04, 15.0
-"""Errors of a wrong rig file: factors of baseline and focal length, and shift of both principal points to the right."""
-
+BASELINE_FACTOR, FOCAL_FACTOR, PRINCIPAL_PX = 1.05, 1.04, 15.0  # of a wrong rig file; shift to the right
 DROPS_PER_M3 = 1.2  # density of drops at rain = 1, a cloudburst
 DROP_SPEED_MPS, EXPOSURE_S = 8.0, 0.012  # speed of drops and exposure time; together they give streaks of about 10 cm
 

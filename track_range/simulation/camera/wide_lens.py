@@ -26,8 +26,7 @@ from track_range.stereo.geometry.virtual_pinhole import axial_focal_px, view_fro
 SAMPLES = 3  # samples per pixel of the wide image and axis
 
 
-SIDE_DEG, SIDE_HALF_DEG = 75.0, 40.0
-"""Directions of the axes of the pinholes to the sides, and half their fields of view, horizontally and vertically."""
+SIDE_DEG, SIDE_HALF_DEG = 75.0, 40.0  # of the axes of the pinholes to the sides, and half their fields of view
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,12 +17,8 @@ from track_range.simulation.render.face_table import FaceTable, TextureStore
 from track_range.simulation.render.pieces import NEAR_M, Projected, projected, visible_pieces
 from track_range.stereo.geometry.camera import PinholeCamera
 
-OPAQUE_ALPHA = 112
-"""Minimum alpha of an opaque sample; slightly below half, so that there are no gaps between pieces of a face."""
-
-_OPAQUE_BGRA = np.uint32(OPAQUE_ALPHA << 24)
-"""`OPAQUE_ALPHA` for a BGRA sample read as one uint32, of which alpha is the highest byte."""
-
+OPAQUE_ALPHA = 112  # lowest alpha of an opaque sample, below half: no gaps between pieces of a face
+_OPAQUE_BGRA = np.uint32(OPAQUE_ALPHA << 24)  # in a BGRA sample read as one uint32, alpha is the highest byte
 SHADE_SLACK = 1.03
 """Largest ratio of a shadow's depth to that of the surface that it darkens; they differ where a curved road is drawn as
 flat pieces."""

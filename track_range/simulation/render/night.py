@@ -17,15 +17,11 @@ from track_range.stereo.geometry.camera import PinholeCamera
 
 AMBIENT = np.array([0.17, 0.14, 0.13], np.float32)  # ambient light of a town's sky and distant lamps; blue, green, red
 BEAM = np.array([0.80, 0.92, 1.0], np.float32)  # colour of the headlights; blue, green, red
-
-REACH_M, FADING = 12.0, 1.3
-"""Distance up to which headlights have full strength, and the exponent with which it falls beyond."""
-
+REACH_M, FADING = 12.0, 1.3  # headlights have full strength up to here, and fall with this exponent beyond
 HIDDEN_M = 0.6  # difference in depth above which a nearer surface hides a lamp
 
 RED, WHITE, AMBER = (40.0, 45.0, 255.0), (235.0, 245.0, 255.0), (120.0, 190.0, 255.0)
-LAMP_HEIGHT = {"Car": 0.52, "Van": 0.40, "Truck": 0.22, "Bus": 0.25, "Motorcycle": 0.45}
-"""Height of the lamps relative to the vehicle's height, by type."""
+LAMP_HEIGHT = {"Car": 0.52, "Van": 0.40, "Truck": 0.22, "Bus": 0.25, "Motorcycle": 0.45}  # relative to the vehicle
 
 
 def lamps_of(scene: Scene, time_s: float, *, lamp_heads_m: FloatArray, shift_m: FloatArray) -> FloatArray:

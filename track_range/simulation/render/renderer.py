@@ -41,15 +41,11 @@ from track_range.stereo.geometry.virtual_pinhole import view_from_camera
 Side = Literal["left", "right"]  # a camera of the pair
 SAMPLES = 2  # samples per pixel and axis
 LONGEST_HALF_M = 8.0  # largest distance between the centre of a body and its nearest point, m
-
-LENS_BLUR_SAMPLES = 0.8
-"""Standard deviation of the lens blur in samples, about 0.4 px; without blur the image would be aliased."""
-
+LENS_BLUR_SAMPLES = 0.8  # standard deviation, about 0.4 px; without blur the image would be aliased
 SKY_SIZE = (1.7, 1.5)  # width and height of the sky relative to the image, for a camera that rotates
 
 
-_FROM_HALF = np.array([[2.0, 0.0, 0.5], [0.0, 2.0, 0.5], [0.0, 0.0, 1.0]])
-"""Homography from pixels of an image of half the size to pixels of the full size."""
+_FROM_HALF = np.array([[2.0, 0.0, 0.5], [0.0, 2.0, 0.5], [0.0, 0.0, 1.0]])  # from half-size to full-size pixels
 
 
 def kitti_like_rig(*, width_px: int = 1240, height_px: int = 376, baseline_m: float = 0.54) -> StereoRig:

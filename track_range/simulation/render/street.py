@@ -28,13 +28,8 @@ from track_range.simulation.world.textures.surfaces import plain, value_noise
 
 FAR_M = 260.0  # distance up to which the street is drawn
 SIDE_HEIGHT_M, RAIL_HEIGHT_M = 9.0, 0.8  # heights of the houses or woods, and of guard rails
-
-STRETCHES_M = ((0.0, 3), (24.0, 6), (72.0, 24))
-"""(distance, length) of stretches; each length divides the next, and the last one divides the period."""
-
-WINDING_STRETCHES_M = ((0.0, 3), (24.0, 6), (72.0, 12))
-"""`STRETCHES_M` for winding roads; chords of 24 m would deviate too much from them."""
-
+STRETCHES_M = ((0.0, 3), (24.0, 6), (72.0, 24))  # (distance, length); each length divides the next, the last the period
+WINDING_STRETCHES_M = ((0.0, 3), (24.0, 6), (72.0, 12))  # on winding roads, from which chords of 24 m deviate
 _Textures = dict[tuple[float, int], tuple[int, tuple[int, ...]]]
 """Number, and rows and columns, of a strip's texture by start of the stretch in its period and length of it."""
 

@@ -45,12 +45,8 @@ images classify these cars as trucks."""
 
 SHOULDER_M = 0.03  # horizontal distance between the hull's side and the lower edge of the cabin
 WHEEL_M = 0.32  # radius of a wheel
-
-BACK_CHAMFER_M, FRONT_CHAMFER_M = (0.18, 0.15), (0.34, 0.25)
-"""Size of the chamfers of the corners, seen from above: along, across."""
-
-BACK_PLATE, FRONT_PLATE = (0.33, 0.27, 0.67, 0.39), (0.34, 0.42, 0.66, 0.54)
-"""Number plates, as fractions of the flat part of the back and front."""
+BACK_CHAMFER_M, FRONT_CHAMFER_M = (0.18, 0.15), (0.34, 0.25)  # along and across, seen from above
+BACK_PLATE, FRONT_PLATE = (0.33, 0.27, 0.67, 0.39), (0.34, 0.42, 0.66, 0.54)  # of the flat part
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,14 +22,9 @@ from track_range.simulation.world.textures.surfaces import Box, cut_outside, num
 
 Colour = tuple[float, ...]  # blue, green, red, 0 to 255
 Vector = tuple[float, float, float]  # x, y, z in the object's frame, metres
-
-Extent = tuple[float, float, float, float, float, float]
-"""Minimum and maximum of x, of the height above the road, and of z, metres."""
-
+Extent = tuple[float, float, float, float, float, float]  # limits of x, height above the road, and z, m
 ALL_SIDES = ("back", "front", "left", "right", "top")
-SUN = {"back": 0.95, "front": 0.9, "left": 0.78, "right": 1.05, "top": 1.2}
-"""Brightness of the sides of a box in sunlight."""
-
+SUN = {"back": 0.95, "front": 0.9, "left": 0.78, "right": 1.05, "top": 1.2}  # brightness of the sides of a box
 N_PRISM_SIDES = 8  # number of sides of the prisms that approximate round bodies
 
 LIGHT_MEAN, LIGHT_ALONG, LIGHT_DOWN, LIGHT_LEFT = 0.92, -0.02, -0.28, -0.2

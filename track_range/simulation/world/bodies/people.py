@@ -41,10 +41,7 @@ SHOE: Colour = (36, 34, 36)
 CLOTH_CONTRAST = 7.0  # contrast of the texture of clothes, grey levels
 WHEEL_RADIUS_M = 0.34  # radius of a bicycle wheel
 N_TYRE_PIECES = 10  # number of flat faces of a tyre
-
-PELVIS, WAIST, CHEST, SHOULDER, NECK = 0.46, 0.60, 0.72, 0.80, 0.845
-"""Heights of a standing body, as fractions of its height."""
-
+PELVIS, WAIST, CHEST, SHOULDER, NECK = 0.46, 0.60, 0.72, 0.80, 0.845  # fractions of the height of a standing body
 TRUNK = (
     (PELVIS, 0.064, 0.102),
     (0.52, 0.074, 0.108),

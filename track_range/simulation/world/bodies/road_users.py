@@ -16,10 +16,7 @@ from track_range.simulation.world.scene import RoadUser
 from track_range.simulation.world.textures.surfaces import clip, fill, polygon
 
 POLE_M = 4.0  # length of the pole; longer than the height of any sign, since the ground hides its lower end
-
-GANTRY_M = (-6.3, 9.8)
-"""Left and right ends of the beam above a motorway, from the middle of the plate, m; the posts stand there."""
-
+GANTRY_M = (-6.3, 9.8)  # ends of the beam above a motorway from the middle of the plate; the posts stand there
 STEEL = (120.0, 122.0, 122.0)
 WHITE, RED, BLUE, BLACK = (232, 234, 234), (38, 30, 190), (160, 84, 24), (30, 30, 30)
 

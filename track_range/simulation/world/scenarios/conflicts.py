@@ -34,12 +34,8 @@ from track_range.simulation.world.scenarios.casting import (
 )
 from track_range.simulation.world.scene import AWAY_RAD, SIZE_HWL_M, TOWARDS_RAD, VIEW_M, RoadUser, Scene
 
-CONTACT_S = (5.5, 7.5)
-"""Earliest and latest time of contact, s; sizes, which vary too, shift it by some hundredths of a second."""
-
-CRASH_S, CRASH_DECELERATION_MPS2 = 0.1, 6.0
-"""Time in which the ego vehicle takes the speed of what it hits, s, and deceleration after it, m/s^2."""
-
+CONTACT_S = (5.5, 7.5)  # earliest and latest contact; sizes, which vary too, shift it by some hundredths of a second
+CRASH_S, CRASH_DECELERATION_MPS2 = 0.1, 6.0  # until the ego vehicle has the speed of what it hits, and after it
 CHILD_FACTOR = 0.68  # height of a child relative to an adult: 1.2 m, a child of seven, as Euro NCAP's child dummy
 WALK_M = 18.0  # distance that a person on the pavement walks at most during a drive, m
 

@@ -31,19 +31,13 @@ from track_range.simulation.world.scene import (
 FIRST_S, EVERY_S = 0.5, 2.0  # first reference time and the interval between them, s
 N_PER_GROUP = 8  # number of road users, with their occluders, for each reference time
 N_TRIALS = 40  # largest number of random positions that are tried for one road user and its occluder
-
-DISTANCE_M = (6.0, 50.0)
-"""Range of the distances of the road users at their reference time; uniform on a logarithmic scale."""
-
+DISTANCE_M = (6.0, 50.0)  # of the road users at their reference time; uniform on a logarithmic scale
 RATIO = (0.3, 0.9)  # range of the occluder's distance relative to that of the road user
 CAMERA_HEIGHT_M = 1.65  # height of the camera above the road, m
 CORRIDOR_M = 1.8  # half of the width of the strip around the ego vehicle's path that stays free of static objects, m
 WALK_S = 1.0  # time before and after the reference time during which some of the people walk or ride, s
 FARTHEST_ASIDE_M = 10.0  # largest distance of objects from the middle of the ego lane, m: the houses are behind it
-
-VIEW_SLOPE = 0.72
-"""Largest x / z of a road user, so that it is in the image of a camera with KITTI's angle of view (0.86)."""
-
+VIEW_SLOPE = 0.72  # largest x / z of a road user, in the view of a camera like KITTI's (0.86)
 FREE_M = 0.35  # smallest distance between the bodies of two objects on the ground, m
 
 USERS = (("Car", 0.5), ("Van", 0.12), ("Truck", 0.08), ("Pedestrian", 0.17), ("Cyclist", 0.13))

@@ -28,9 +28,7 @@ from track_range.simulation.world.scenarios.casting import (
 )
 from track_range.simulation.world.scene import TOWARDS_RAD, VIEW_M, Scene
 
-QUEUE_SPACING_M, QUEUE_DELAY_S = 6.7, 0.8
-"""Distance between the centres of cars in a standing queue, and delay of each car relative to the one ahead."""
-
+QUEUE_SPACING_M, QUEUE_DELAY_S = 6.7, 0.8  # between centres of standing cars, and of each car after the one ahead
 _TRUCKS = (("Truck", 0.45), ("Van", 0.25), ("Car", 0.2), ("Bus", 0.1))
 _FAST = (("Car", 0.85), ("Motorcycle", 0.15))
 
