@@ -31,6 +31,7 @@ _K_NOISE = 0.25  # random walk of k per square root of a second: that of a slow 
 _LENGTH_SIGMA_M = 0.6  # of the length of a car; with it the ray changes from the near end to the side
 _K_RANGE = (-1.0, 1.4)  # of k: sides that face the other way, and those that point towards the camera
 _EDGE_SIGMA_PX, _EDGE_SIGMA_FRACTION = 1.0, 0.01  # of the free edge: px, plus a fraction of the width of the box
+_SLIDE_FACTOR = 1.5  # of the noise while it is unknown which end is measured, whose errors add up over some frames
 _LEAST = 0.05  # smallest 1 - k q and |b|, against a division by zero
 
 
@@ -89,11 +90,15 @@ class SideState(NamedTuple):
         far_m = far_m + dt * far.v
         P_dk, P_kk = P_dk + dt * P_vk, P_kk + _K_NOISE**2 * dt
 
-        # And back.
+        # And back. Within 2 sigma of the change from near end to side, the difference of both predictions is noise.
+        is_unclear = moves & (np.abs(state.x / shrinks - state.x - cut.length_m) < 2 * _LENGTH_SIGMA_M)
+        step_m, before = dt * state.v, shrinks
         shrinks = np.maximum(1 - k * cut.q, _LEAST)
+        slide_m = (state.x / before + step_m) * shrinks - (state.x + step_m)
         is_side = moves & (far_m * shrinks > far_m - cut.length_m)
         G, J = np.where(is_side, shrinks, 1.0), np.where(is_side, -far_m * cut.q, 0.0)
         P_xx = far.P_xx + np.where(is_side != was_side, _LENGTH_SIGMA_M**2, 0.0)
+        P_xx += np.where(is_unclear, (_SLIDE_FACTOR * slide_m / G) ** 2, 0.0)
         far = ConstantVelocity(far_m, far.v, P_xx, far.P_xv, far.P_vv)
         state, P_dk = _transformed(far, G, J, (P_dk, P_vk, P_kk))
         state = ConstantVelocity(state.x - np.where(is_side, 0.0, near_m), *state.columns[1:])
