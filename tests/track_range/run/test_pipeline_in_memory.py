@@ -91,6 +91,35 @@ def test_frozen_right_camera_has_no_stereo(drive: Drive) -> None:
 
 
 @pytest.mark.slow
+def test_large_offset_is_corrected_during_the_drive(long_drive: Drive) -> None:
+    errors = []
+    with (
+        tr.Pipeline.stereo(long_drive.rig, **OPTIONS) as pipeline,
+        tr.Pipeline.stereo(long_drive.rig, align="off", **OPTIONS) as reference,
+    ):
+        for left, right in images(long_drive):
+            true_m = reference.step(left.image, right.image, left.time_s).ranges["stereo"].distance_m
+            shifted = np.roll(right.image, 24, axis=1)  # disparities are 24 px too small
+            result = pipeline.step(left.image, shifted, left.time_s)
+            distance_m = result.ranges["stereo"].distance_m
+            if pipeline.alignment is not None and len(distance_m) == len(true_m):
+                errors.append(np.abs(distance_m / true_m - 1))
+    assert any("px too small" in note and "corrected" in note for note in pipeline.notes)
+    assert pipeline.alignment is not None
+    assert pipeline.alignment.measured.offset_px == pytest.approx(24.0, abs=0.5)
+    assert np.nanmedian(np.concatenate(errors[1:])) < 0.05
+
+
+@pytest.mark.slow
+def test_one_camera_twice_has_no_stereo(long_drive: Drive) -> None:
+    with tr.Pipeline.stereo(long_drive.rig, **OPTIONS) as pipeline:
+        for left, _ in images(long_drive):
+            result = pipeline.step(left.image, left.image.copy(), left.time_s)
+    assert result.frame.right is None
+    assert any("one camera" in note for note in pipeline.notes)
+
+
+@pytest.mark.slow
 def test_automatic_alignment_is_unknown_first_and_then_that_of_a_run(long_drive: Drive) -> None:
     with tr.Run.stereo(long_drive.left, long_drive.right, rig=long_drive.rig, **OPTIONS) as run:
         expected = list(run)
