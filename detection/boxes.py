@@ -30,10 +30,7 @@ def intersection_px2(a_xyxy_px: FloatArray, b_xyxy_px: FloatArray) -> FloatArray
 
 
 def iou(a_xyxy_px: FloatArray, b_xyxy_px: FloatArray) -> FloatArray:
-    """(N, M) intersection over union of each box of `a` (N, 4) with each of `b` (M, 4).
-
-    IoU = |A n B| / (|A| + |B| - |A n B|),  0 where both are empty or one is NaN
-    """
+    """(N, M) IoU |A n B| / (|A| + |B| - |A n B|) of boxes `a` (N, 4), `b` (M, 4); 0 if both are empty or one is NaN."""
     return iou_of_edges(a_xyxy_px.T.copy()[:, :, None], b_xyxy_px.T.copy()[:, None])
 
 
@@ -81,17 +78,11 @@ def are_valid_boxes(xyxy_px: FloatArray) -> BoolArray:
 def nms(
     xyxy_px: FloatArray, score: FloatArray, class_id: IntArray, *, max_iou: float, max_boxes: int | None = None
 ) -> IntArray:
-    """Indices of the boxes that remain after greedy non-maximum suppression, highest score first.
+    """(K,) indices of the boxes that remain after greedy non-maximum suppression, highest score first.
 
-    Boxes of different classes do not suppress each other. Boxes with equal scores keep the order of the input.
-    Boxes are processed in blocks of decreasing score until `max_boxes` have been selected.
-
-    Args:
-        xyxy_px: (N, 4) boxes.
-        score: (N,) confidences.
-        class_id: (N,) classes.
-        max_iou: a box is suppressed if its IoU with a higher-scoring box of its class exceeds this value.
-        max_boxes: largest number of indices returned; None = no limit.
+    Boxes of different classes do not suppress each other, and those with equal scores keep the order of the input. They
+    are processed in blocks of decreasing score until `max_boxes` (None = all) have been selected. A box (N, 4) is
+    suppressed if its IoU with a higher-scoring box of its class exceeds `max_iou`.
     """
     order = np.argsort(-score, kind="stable")
     left, top, right, bottom = xyxy_px.T

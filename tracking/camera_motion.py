@@ -52,10 +52,7 @@ class CameraMotionSettings:
 
 
 class CameraMotion:
-    """Estimates the background motion between the frames of one stream; the state belongs to the instance.
-
-    `flow`: flow of the background, which other estimators of the same stream may use too; None = a separate one.
-    """
+    """Estimates the background motion between frames of one stream; others may use the same `flow`, None = its own."""
 
     def __init__(self, settings: CameraMotionSettings | None = None, *, flow: BackgroundFlow | None = None) -> None:
         self._settings = settings or CameraMotionSettings()
@@ -65,13 +62,8 @@ class CameraMotion:
         """(2, 3) `now_from_before`, which maps pixels of the previous frame to pixels of this one; deterministic.
 
         The identity for the first frame, after a change of size, with too few inliers, and for an implausible motion.
-
-        Args:
-            image: (H, W, 3) BGR.
-            xyxy_px: (N, 4) boxes of road users in this frame, which are not background; invalid ones are ignored.
-            time_s: time of the frame, by which estimators with the same flow identify it; NaN = a new frame.
-
-        Raises ValueError: an argument has another shape.
+        Valid boxes of road users (N, 4) in the image (H, W, 3) are not background. Estimators with one flow identify a
+        frame by its `time_s`; NaN = a new frame. Raises ValueError: an argument has another shape.
         """
         check_shape("image", image, (None, None, 3))
         check_shape("xyxy_px", xyxy_px, (None, 4))

@@ -99,12 +99,9 @@ class DeepSortTracker:
     ) -> None:
         """Create a tracker without tracks.
 
-        Args:
-            settings: parameters; None = the defaults.
-            appearance_model: computes embeddings where there are images and the detections have no embeddings; None =
-                no appearance in these cases.
-            flow: flow of the background, which the odometry of the same stream may use too; None = a separate one.
-            camera_motion: estimates the motion of the background from the images; None = from `flow`.
+        `appearance_model` computes embeddings where there are images and the detections have none; None = no appearance
+        there. `flow` is that of the background, which the odometry of the stream may use too; None = a separate one.
+        `camera_motion` estimates the motion of the background from the images; None = from `flow`.
         """
         self._settings = settings = settings or DeepSortSettings()
         self._appearance_model = appearance_model

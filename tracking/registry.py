@@ -53,15 +53,10 @@ class RefinableTracker(ObjectTracker, Protocol):
 
 
 class AppearanceModel(Protocol):
-    """Computes appearance embeddings of boxes: vectors of length 1 with small cosine distances for one object.
+    """Computes appearance embeddings of boxes: vectors of length 1 with small cosine distances for one object."""
 
-    Attributes:
-        max_cosine_distance: largest cosine distance between two embeddings of one object.
-        notes: messages for the user.
-    """
-
-    max_cosine_distance: float
-    notes: tuple[str, ...]
+    max_cosine_distance: float  # largest one between two embeddings of one object
+    notes: tuple[str, ...]  # for the user
 
     def embed(self, image: Image, xyxy_px: FloatArray) -> Descriptors:
         """(N, D) unit-norm embeddings of the boxes (N, 4) in `image`, (H, W, 3) uint8 BGR; zeros = unknown."""
@@ -70,15 +65,10 @@ class AppearanceModel(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrackerOptions:
-    """Options that the program passes to every new tracker.
+    """Options that the program passes to every new tracker."""
 
-    Attributes:
-        reid: the user's re-identification network (`--reid`); None = the tracker's default appearance model, if any.
-        flow: flow of the background, shared with the odometry of the run; None = none to share.
-    """
-
-    reid: AppearanceModel | None = None
-    flow: BackgroundFlow | None = None
+    reid: AppearanceModel | None = None  # network of `--reid`; None = the tracker's default appearance model, if any
+    flow: BackgroundFlow | None = None  # shared with the odometry of the run; None = none to share
 
 
 TrackerFactory = Callable[[TrackerOptions], ObjectTracker]  # class or function that makes a tracker
@@ -157,10 +147,7 @@ def create_tracker(name: str, options: TrackerOptions | None = None) -> ObjectTr
 
 
 def checked_tracks(tracker: ObjectTracker, result: Any) -> Tracks:
-    """The result of a tracker's `update`, checked to be `Tracks`.
-
-    Raises TrackerError: the result has another type, or class ids that do not exist.
-    """
+    """The result of a tracker's `update`; TrackerError: it is not `Tracks`, or has class ids that do not exist."""
     name = f"{type(tracker).__module__}:{type(tracker).__qualname__}"
     if not isinstance(result, Tracks):
         raise TrackerError(f"{name}: expected Tracks from the tracker's update, got {type(result).__name__}.")

@@ -28,20 +28,15 @@ MIN_BOXES = 50  # of a class in the means; metrics from fewer labels vary too mu
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClassScores:
-    """Scores of one class, as fractions 0..1; NaN without labels, precision also NaN without detections.
-
-    `ap50`, `ap50_95`: average precision. `precision`, `recall`: of the detections at or above the confidence threshold,
-    at IoU >= 0.5. `recall_at`: (6,) for each of `PRECISIONS`, the largest recall at which the precision is at least
-    that.
-    """
+    """Scores of one class, as fractions 0..1; NaN without labels, precision also NaN without detections."""
 
     n_images: int  # number of images in which all objects of the class are labelled; other images are not evaluated
     n_boxes: int  # number of labels in these images, without labels to ignore
-    ap50: float
+    ap50: float  # average precision
     ap50_95: float
-    precision: float
+    precision: float  # of the detections at or above the confidence threshold, at IoU >= 0.5; so is the recall
     recall: float
-    recall_at: tuple[float, ...]
+    recall_at: tuple[float, ...]  # (6,) for each of `PRECISIONS`, the largest recall with at least that precision
     best_score: float  # score threshold that maximises F1 = 2 precision recall / (precision + recall) at IoU >= 0.5
     is_known: bool  # the detector has a name for this class
     is_averaged: bool  # the class is included in the means

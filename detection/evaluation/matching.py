@@ -47,14 +47,11 @@ ANY_SIZE = SizeBin("all", "area", 0.0, np.inf)  # bin of all sizes
 
 @dataclass(frozen=True, slots=True)
 class ClassMatches:
-    """The K detections of one class in order of decreasing score, and how they were matched at each IoU threshold.
-
-    `is_void`: (10, K) not counted: matched with a label to ignore, or unmatched and outside of the bin of sizes.
-    """
+    """The K detections of one class in order of decreasing score, and how they were matched at each IoU threshold."""
 
     score: FloatArray  # (K,) confidence
     is_hit: BoolArray  # (10, K) true positive: matched with a label
-    is_void: BoolArray
+    is_void: BoolArray  # (10, K) not counted: matched with a label to ignore, or unmatched and outside of the size bin
     n_boxes: int  # number of labels, without those to ignore
 
     @classmethod

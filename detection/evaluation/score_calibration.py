@@ -38,15 +38,12 @@ MIN_IOU = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Reliability:
-    """Scores and precision of detections by bins of the score; the bins divide [0, 1] into equal parts.
-
-    `variance`: (M,) variance of the number of matches if the scores are their probabilities, sum of s (1 - s).
-    """
+    """Scores and precision of detections by bins of the score; the bins divide [0, 1] into equal parts."""
 
     n: IntArray  # (M,) number of detections
     n_true: IntArray  # (M,) number of those that match a label
     mean_score: FloatArray  # (M,) mean score; NaN in empty bins
-    variance: FloatArray
+    variance: FloatArray  # (M,) of the number of matches if the scores are their probabilities: sum of s (1 - s)
 
     @classmethod
     def of(cls, score: FloatArray, is_true: BoolArray, *, n_bins: int = N_BINS) -> Reliability:
@@ -120,14 +117,11 @@ class Reliability:
 
 @dataclass(frozen=True, slots=True)
 class ScoreCalibration:
-    """Reliability of one detector's scores.
-
-    `by_class`: reliability by road class id, of the classes that the detector knows and that are labelled.
-    """
+    """Reliability of one detector's scores."""
 
     min_score: float  # lowest score of the detections
     overall: Reliability  # reliability of the detections of all these classes together
-    by_class: Mapping[int, Reliability]
+    by_class: Mapping[int, Reliability]  # by road class id, of the known classes that are labelled
 
     def as_dict(self) -> dict[str, Any]:
         """Errors and bins of all classes together ("all") and by class name, for JSON."""

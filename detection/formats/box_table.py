@@ -23,19 +23,15 @@ HALF_PIXEL_PX = 0.5  # coordinate in the corner convention minus the coordinate 
 
 @dataclass(frozen=True, slots=True)
 class VideoFacts:
-    """Properties of the video that a label file belongs to; None = unknown.
-
-    `is_rectified`: whether boxes are in rectified pixels, as in the results of a run, not in those of the video.
-    `provenance`: program version, model and so on of the boxes, by name, for the metadata of written files.
-    """
+    """Properties of the video that a label file belongs to; None = unknown."""
 
     name: str = ""  # name of the video or sequence; "" = unknown
     n_frames: int | None = None
     first_frame: int = 0  # number of the first frame that has labels if there are any objects in it
     size_px: tuple[int, int] | None = None  # (width, height) of its images
     fps: float | None = None
-    is_rectified: bool = False
-    provenance: Mapping[str, str] = field(default_factory=dict)
+    is_rectified: bool = False  # boxes are in rectified pixels, as in the results of a run, not in those of the video
+    provenance: Mapping[str, str] = field(default_factory=dict)  # program, model, ..., for metadata of files
 
     @property
     def pixels(self) -> str:

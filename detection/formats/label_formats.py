@@ -32,15 +32,11 @@ _PARQUET_MARK = "PAR1"  # first bytes of a Parquet file
 
 @dataclass(frozen=True, slots=True)
 class LabelFormat:
-    """One format of label files, with its name on the command line and its title in messages.
-
-    `is_format` is whether a file or folder has the format, from its path and its first line that is not blank ("" for a
-    folder, the first bytes of Parquet).
-    """
+    """One format of label files, with its name on the command line and its title in messages."""
 
     name: str
     title: str
-    is_format: Callable[[Path, str], bool]
+    is_format: Callable[[Path, str], bool]  # of a path and its first line ("" = a folder), or first bytes of Parquet
     read: Callable[[Path, VideoFacts], BoxTable]  # facts about the video fill in what the file does not state
     write: Callable[[BoxTable, Path], Written] | None = None  # writes a table to a path; None = not written
     has_classes: bool = True  # whether a box has a class

@@ -46,12 +46,10 @@ _MIN_SPAN = 0.06  # extent in y of a visible line, in image heights
 
 @dataclass(frozen=True, slots=True)
 class LaneFit:
-    """Result of a fit.
-
-    `seen_px`: top and bottom row of the pixels of the left and of the right line; None = line not visible.
-    """
+    """Result of a fit."""
 
     state: LaneState  # the fitted lane
+    # top and bottom row of the pixels of the left and of the right line; None = line not visible
     seen_px: tuple[tuple[float, float] | None, tuple[float, float] | None]
     clutter: float  # number of markings between the lines divided by the number on them, in the rows of the lines
 
@@ -128,10 +126,7 @@ _MAX_DEPARTURE = 1.5  # from the tracked lane, in sigmas squared, large enough t
 
 
 class EgoLane:
-    """Tracker of the ego lane in one video.
-
-    `state`: the lane after the latest image; None = no lane.
-    """
+    """Tracker of the ego lane in one video; `state` is the lane after the latest image, None = no lane."""
 
     def __init__(self) -> None:
         self.state: LaneState | None = None

@@ -120,16 +120,12 @@ _MAX_VIEWS = 5  # of one image while the row of the horizon is unknown
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Family:
-    """A family of lane networks.
-
-    `scale`: mean and standard deviation of the channels in this order, of pixels / 255. `horizon`: row of the horizon
-    in the training images, in image heights; None = varied, so that the input is the whole image.
-    """
+    """A family of lane networks."""
 
     is_rgb: bool  # the channel order is RGB, otherwise BGR
-    scale: tuple[tuple[float, float, float], tuple[float, float, float]]
+    scale: tuple[tuple[float, float, float], tuple[float, float, float]]  # mean and sigma of pixels / 255
     sigma_px: float  # standard deviation of a pixel's x in the network's input
-    horizon: float | None = None
+    horizon: float | None = None  # row in training images, in image heights; None = varied: the whole image is input
     aim: float = 0.02  # largest distance of the horizon from that row, in image heights, before the view is changed
     aspect: float = 16 / 9  # width / height of the view
     input_hw: tuple[int, int] = (360, 640)  # (height, width) of an input of variable size
@@ -170,10 +166,7 @@ class NetLaneFinder:
         return lines
 
     def _view(self, image_hw: tuple[int, int]) -> tuple[slice, slice]:
-        """Rows and columns of the largest view with the tracked horizon, or the typical one, in the family's row.
-
-        The whole image if the family has no such row.
-        """
+        """Rows and columns of the largest view with the tracked or typical horizon in the family's row, else of all."""
         height, width = image_hw
         horizon, aspect, state = self._family.horizon, self._family.aspect, self._lane.state
         if horizon is None:

@@ -32,11 +32,7 @@ class ModelFile:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CatalogueEntry:
-    """One model that can be downloaded.
-
-    `project`, `release`: project and release that publish the model. `size_px`: side of the input in pixels for a
-    network of variable input size that was trained at one size; None = the input's own size, or the default.
-    """
+    """One model that can be downloaded, from a release of a project."""
 
     name: str  # the model's name; `NAME.onnx` in the cache folder is the model ready to run
     family: str  # family of the network, as shown by `track-range models info`
@@ -46,7 +42,7 @@ class CatalogueEntry:
     project: str
     release: str
     classes: tuple[str, ...] = COCO_CLASSES  # class names in the network's order
-    size_px: int | None = None
+    size_px: int | None = None  # side of an input of variable size, as in training; None = its own, or the default
 
     @property
     def is_darknet(self) -> bool:

@@ -40,15 +40,10 @@ Anchors = tuple[tuple[tuple[float, float], ...], ...]  # (width, height) in inpu
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelOptions:
-    """Attributes of a model that the user specifies; None = not specified.
-
-    Attributes:
-        anchors: width,height pairs in input pixels, one group per head in the order of the outputs, such as
-            `81,82 135,169 344,319 / 23,27 37,58 81,82`.
-    """
+    """Attributes of a model that the user specifies; None = not specified."""
 
     names: tuple[str, ...] | None = None  # class names in the network's order
-    anchors: str | None = None
+    anchors: str | None = None  # pairs in input px by head, such as `81,82 135,169 344,319 / 23,27 37,58 81,82`
     letterbox: str | None = None  # placement and grey level of the padding, such as `top-left-114`
 
 
@@ -72,10 +67,7 @@ class ModelMetadata:
 
 
 def read_metadata(path: Path, metadata: Mapping[str, str], options: ModelOptions) -> ModelMetadata:
-    """The attributes of the model at `path`, from the options, else its metadata, else `MODEL.yaml`.
-
-    ModelError if a value is invalid, or `MODEL.yaml` cannot be read.
-    """
+    """Attributes of the model at `path`, from options, metadata, else `MODEL.yaml`; ModelError: an invalid value."""
     option_values = {key: getattr(options, key) for key in ModelOptions.__dataclass_fields__}
     is_rt_detr = "rtdetr" in metadata.get("description", "").lower().replace("-", "")  # as "Ultralytics rtdetr-l model"
     head = {"head": RT_DETR_DESCRIPTION} if is_rt_detr else {}

@@ -45,14 +45,11 @@ class ModelError(UserError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Runtime:
-    """Device and threads that a network runs on.
-
-    `engine_folder`: folder in which TensorRT caches its engines, which take minutes to build; None = no cache.
-    """
+    """Device and threads that a network runs on."""
 
     device: Device = "auto"  # "auto" = CUDA if available, else the CPU
     n_threads: int = 0  # number of CPU threads; 0 = one per core
-    engine_folder: Path | None = None
+    engine_folder: Path | None = None  # of TensorRT's engines, which take minutes to build; None = no cache
 
 
 def available_providers() -> list[str]:
@@ -175,14 +172,12 @@ def _library_errors(path: Path, problem: str) -> Iterator[None]:
 class BoundNetwork:
     """A network with bound buffers (onnxruntime's IOBinding), so that a run neither copies nor allocates arrays.
 
-    On a GPU, binding an input copies it there, so that each run binds it. `blob`: (1, 3, height, width) input of the
-    next `run`, float32 or float16 as the network requires. `output_shapes`: shapes of the outputs by name, in the
-    file's order. `integer_outputs`: names of the outputs of integers, such as labels.
+    On a GPU, binding an input copies it there, so that each run binds it.
     """
 
     def __init__(self, session: OnnxSession, input_hw: tuple[int, int]) -> None:
         self._owner = session
-        self.blob = np.zeros((1, 3, *input_hw), session.input_dtype)
+        self.blob = np.zeros((1, 3, *input_hw), session.input_dtype)  # input of the next run
         network, batch = session._session, session.input_shape[0]
         if batch not in (None, 1):
             raise ModelError(
@@ -194,7 +189,7 @@ class BoundNetwork:
         self._buffers = [np.empty_like(np.asarray(output), order="C") for output in outputs]
         names = [output.name for output in network.get_outputs()]
         named = dict(zip(names, self._buffers, strict=True))
-        self.output_shapes = {key: buffer.shape for key, buffer in named.items()}
+        self.output_shapes = {key: buffer.shape for key, buffer in named.items()}  # in the file's order
         self.integer_outputs = frozenset(key for key, buffer in named.items() if buffer.dtype.kind in "iu")
         self._binding = network.io_binding()
         self._image_name = session._input.name

@@ -46,10 +46,7 @@ class Schedule:
         self._n_warm = max(round(min(settings.warmup_epochs, n_epochs / 5) * n_steps_per_epoch), 1)
 
     def rate(self, step: int) -> float:
-        """Learning rate of a step without the warm-up.
-
-        rate = learning_rate * (last_share + (1 - last_share) * (1 + cos(pi step / n_steps)) / 2)
-        """
+        """Rate of a step without warm-up: learning_rate (last_share + (1 - last_share) (1 + cos(pi step / n)) / 2)."""
         cosine = (1 + math.cos(math.pi * min(step / self._n_steps, 1.0))) / 2
         last = self._settings.last_share
         return self._settings.learning_rate * (last + (1 - last) * cosine)
@@ -89,10 +86,7 @@ def optimiser_of(network: nn.Module, settings: ScheduleSettings) -> torch.optim.
 
 
 class WeightAverage:
-    """Exponential moving average of a network's weights and batch-norm statistics.
-
-    `network`: a copy of the network with the averaged weights.
-    """
+    """Exponential moving average of weights and batch-norm statistics, in a copy of the network, `network`."""
 
     def __init__(self, network: DetectionNetwork) -> None:
         self.network = copy.deepcopy(network).eval()

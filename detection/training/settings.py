@@ -22,11 +22,7 @@ Precision = Literal["float32", "bfloat16", "float16"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainingSettings:
-    """Settings of a training run.
-
-    `n_last_epochs`: number of epochs at the end in which no training image is a mosaic, so that the network learns from
-    whole images at last (Ge et al., "YOLOX", 2021).
-    """
+    """Settings of a training run."""
 
     size_px: int = 416  # side of the square training images, and longer side of the validation images
     n_epochs: int = 100
@@ -39,7 +35,7 @@ class TrainingSettings:
     min_boxes: int = 50  # classes with fewer labels are excluded from the means of the validation
     schedule: ScheduleSettings = field(default_factory=ScheduleSettings)
     augmentation: AugmentationSettings = field(default_factory=AugmentationSettings)
-    n_last_epochs: int = 0
+    n_last_epochs: int = 0  # at the end, without mosaics, to learn from whole images (Ge et al., "YOLOX", 2021)
     n_int8_epochs: int = 0  # number of epochs at the end in which INT8 rounding is simulated
 
     def __post_init__(self) -> None:

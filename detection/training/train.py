@@ -66,11 +66,7 @@ class Listener(Protocol):
 
 
 class Training:
-    """A training run.
-
-    `network`: the network with the optimiser's latest weights. `average`: moving average of the weights, which is
-    validated and exported. `history`: one row of results.csv for each completed epoch.
-    """
+    """A training run."""
 
     def __init__(
         self,
@@ -85,8 +81,8 @@ class Training:
         self._device = torch.device(settings.device)
         if teacher is not None:
             teacher.check_fits(network)
-        self.network = placed(network, self._device)
-        self.average = WeightAverage(self.network)
+        self.network = placed(network, self._device)  # with the optimiser's latest weights
+        self.average = WeightAverage(self.network)  # validated and exported
         self._batches = BatchMaker(
             sets.train, size_px=settings.size_px, batch_size=settings.batch_size, seed=settings.seed
         )
@@ -104,7 +100,7 @@ class Training:
         self._optimiser = optimiser_of(nn.ModuleList(trained), settings.schedule)
         self._schedule = Schedule(settings.schedule, n_epochs=settings.n_epochs, n_steps_per_epoch=len(self._batches))
         self._scaler = torch.amp.GradScaler(self._device.type, enabled=settings.precision == "float16")
-        self.history: list[dict[str, float]] = []
+        self.history: list[dict[str, float]] = []  # one row of results.csv for each completed epoch
 
     def resume(self) -> None:
         """Continue from the last checkpoint in the run folder; CheckpointError if it is damaged or of another run."""

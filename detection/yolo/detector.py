@@ -44,20 +44,14 @@ _UNREACHABLE_SCORE = 2.0  # threshold of classes that are left out; scores are a
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class YoloSettings:
-    """Settings of a YOLO detector.
-
-    `max_iou`: IoU threshold of non-maximum suppression among classes that are easily confused; end-to-end networks need
-    none, only equal boxes are removed. `size_px`: longer side of the network's input if its size is variable; None =
-    the size or area in the model's metadata, else `DEFAULT_SIZE_PX`. `is_square`: an input of variable size is square;
-    otherwise it has the image's aspect ratio, padded to strides, except for DETR-like networks.
-    """
+    """Settings of a YOLO detector."""
 
     min_score: float = 0.1  # confidence threshold; low, since the tracker uses low-confidence boxes to continue tracks
     class_min_score: tuple[tuple[int, float], ...] = ()  # (class id, score) of road classes with a separate threshold
-    max_iou: float = 0.5
+    max_iou: float = 0.5  # of suppression among confused classes; of end-to-end networks, only equal boxes are removed
     max_boxes: int = 300  # largest number of boxes per image
-    size_px: int | None = None
-    is_square: bool = False
+    size_px: int | None = None  # longer side of a variable input; None = as in the metadata, else `DEFAULT_SIZE_PX`
+    is_square: bool = False  # a variable input is square, else of the image's aspect ratio, except of DETR-like ones
     class_id: tuple[int, ...] = ()  # ids of the road classes to detect; empty = all
 
     def min_score_by_class(self) -> FloatArray:

@@ -36,17 +36,13 @@ _PICODET_INPUT = InputFormat(placement="stretch", mean=IMAGENET_MEAN, std=IMAGEN
 
 @dataclass(frozen=True, slots=True)
 class Level:
-    """Outputs of the cells of one stride.
+    """Outputs of the cells of one stride."""
 
-    `scores_output`, `bins_output`: indices of the outputs, the same one if it has both. `score_columns`, `bin_columns`:
-    columns of the C scores and of the 4 (R + 1) bins.
-    """
-
-    scores_output: int
+    scores_output: int  # index of the output, which may be that of the bins, too
     bins_output: int
     rows: slice  # rows of the outputs
-    score_columns: slice
-    bin_columns: slice
+    score_columns: slice  # of the C scores
+    bin_columns: slice  # of the 4 (R + 1) bins
     centre_px: FloatArray  # (n, 2) centre of each cell in the network's corner coordinates
     stride_px: int  # unit of the distances
 

@@ -32,12 +32,7 @@ _LETTERBOX = re.compile(r"(centred|top-left|stretch)(?:-(\d{1,3}))?")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InputFormat:
-    """Format of a network's input image.
-
-    Attributes:
-        mean, std: value that is subtracted from the divided pixel values and number by which the result is divided, for
-            each channel in the order of `colours`: input = (pixel / divisor - mean) / std.
-    """
+    """Format of a network's input image: (pixel / divisor - mean) / std, by channel in the order of `colours`."""
 
     placement: Placement = "centred"  # position of the scaled image in the input
     pad_grey: int = 114  # grey level of the padding, 0..255

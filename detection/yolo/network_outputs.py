@@ -16,8 +16,6 @@ class YoloModel:
     """Everything needed to run a detection network on images and decode its outputs.
 
     The function of a layout returns the family's defaults; `identify_layout` adds the explicit attributes of the model.
-    `attributes`: explicit and default attributes by key, for `models info`. `is_end_to_end`: whether the network itself
-    returns one box per object, without non-maximum suppression.
     """
 
     family: str  # name of the family, for display
@@ -26,9 +24,9 @@ class YoloModel:
     input_format: InputFormat
     decoder: Decoder
     names: tuple[str, ...] = ()  # class names in the network's order
-    attributes: Mapping[str, Attribute] = field(default_factory=dict)
+    attributes: Mapping[str, Attribute] = field(default_factory=dict)  # by key, with the defaults
     score_outputs: tuple[int, ...] = ()  # outputs that consist of class scores alone
-    is_end_to_end: bool = False
+    is_end_to_end: bool = False  # whether the network itself returns one box per object, without suppression
     is_square: bool = False  # whether an input of variable size has to be square, as it was in training
 
 

@@ -35,10 +35,7 @@ class ConstantVelocity:
     def predict(
         self, dt: FloatArray | float, *, q: FloatArray | float, drift: FloatArray | float = 0.0
     ) -> ConstantVelocity:
-        """The states after `dt` >= 0 seconds.
-
-        The variance of the rate grows by `q` per second, and that of the value by `drift` besides what its rate causes.
-        """
+        """The states after `dt` >= 0 s; per second, the variance of v grows by `q` and that of x by `drift` besides."""
         P_xv = self.P_xv + dt * self.P_vv
         return ConstantVelocity(
             x=self.x + dt * self.v,

@@ -96,12 +96,9 @@ class Options(BaseModel):
     """Base class of option models: immutable, unknown names are errors.
 
     Numbers, paths and lists of names are accepted for texts, and texts such as "car,bus" for lists.
-
-    Attributes:
-        panel: heading of the section of the options in the help; None = that of the other options.
     """
 
-    panel: ClassVar[str | None] = None
+    panel: ClassVar[str | None] = None  # heading in the help; None = that of the other options
 
     model_config = ConfigDict(
         extra="forbid", frozen=True, defer_build=True, allow_inf_nan=False, coerce_numbers_to_str=True

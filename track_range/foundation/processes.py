@@ -22,10 +22,8 @@ def is_running(pid: int) -> bool:
     """Whether a process with this id exists, also one of another user."""
     try:
         os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:
-        return True
+    except OSError as error:
+        return not isinstance(error, ProcessLookupError)
     return True
 
 

@@ -97,10 +97,7 @@ class ColourLayout:
         return 3 * self._settings.n_bands * self._settings.n_bins
 
     def embed(self, image: Image, xyxy_px: FloatArray) -> Descriptors:
-        """As `AppearanceModel.embed`; parts of a box outside the image do not count.
-
-        Raises ValueError: the image is not (H, W, 3).
-        """
+        """As `AppearanceModel.embed`; parts outside the image do not count. ValueError: the image is not (H, W, 3)."""
         check_shape("image", image, (None, None, 3))
         embedding = np.zeros((len(xyxy_px), self.n_values), np.float32)
         usable = np.flatnonzero(has_appearance(image, xyxy_px))

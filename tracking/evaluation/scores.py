@@ -23,10 +23,7 @@ _MIN_FRACTION_IGNORED = 0.5  # of an unmatched result box inside an ignore regio
 
 @dataclass(frozen=True, slots=True)
 class TrackingScores:
-    """Scores of one sequence, or of several combined: ratios in per cent, the others are counts.
-
-    Ratios are NaN where the denominator is 0.
-    """
+    """Scores of one or more sequences: ratios in per cent (NaN where the denominator is 0), the others are counts."""
 
     hota: float  # higher-order tracking accuracy
     deta: float  # detection accuracy, a part of HOTA

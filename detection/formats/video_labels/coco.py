@@ -92,10 +92,7 @@ def read_coco(path: Path, video: VideoFacts) -> BoxTable:
 
 
 class CocoFile:
-    """The objects of one file, which are checked when they are read; all methods raise LabelFileError.
-
-    `images`: images by id, in the order of the file.
-    """
+    """The objects of one file, checked when read, and `images` by id, in its order; methods raise LabelFileError."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

@@ -51,15 +51,12 @@ _INTEGERS = [0, 1, 3]  # columns: frame, track id, occlusion
 
 @dataclass(frozen=True, slots=True)
 class KittiLabels:
-    """The N rows of a KITTI file, in the file's order.
-
-    `truncated`: (N,) fraction outside the image (object files) or level 0, 1, 2 (tracking files); -1 = unknown.
-    """
+    """The N rows of a KITTI file, in the file's order."""
 
     frame: IntArray  # (N,) int64 frame number from 0
     track_id: IntArray  # (N,) int64 identity; -1 = DontCare or a detection
     kitti_type: npt.NDArray[np.str_]  # (N,) str type, such as Car, Van, DontCare
-    truncated: FloatArray
+    truncated: FloatArray  # (N,) fraction outside the image, or level 0, 1, 2 in tracking files; -1 = unknown
     occluded: IntArray  # (N,) 0 = fully visible, 1 = partly occluded, 2 = largely occluded, 3 or -1 = unknown
     xyxy_px: FloatArray  # (N, 4) box
     size_hwl_m: FloatArray  # (N, 3) height, width, length; <= 0 if unknown

@@ -22,15 +22,10 @@ _CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float64)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AugmentationSettings:
-    """Strength of the augmentation.
-
-    `min_gain`, `max_gain`: range of the scale, relative to an image whose longer side fills the training image.
-    `rotation_deg`, `shear_deg`: largest angle of rotation and shear; uniform in -x..x. `hue`, `saturation`, `value`:
-    largest relative change; uniform in -x..x (values of YOLOv5).
-    """
+    """Strength of the augmentation: largest angles and relative changes of colours (YOLOv5's), uniform in -x..x."""
 
     mosaic: float = 0.9  # probability that a training image is a mosaic of four images
-    min_gain: float = 0.5
+    min_gain: float = 0.5  # of the scale, relative to an image whose longer side fills the training image
     max_gain: float = 1.5
     rotation_deg: float = 0.0
     shear_deg: float = 0.0
@@ -47,19 +42,15 @@ MIN_FRACTION = 0.1  # smallest visible fraction of the area of a box that is not
 
 @dataclass(frozen=True, slots=True)
 class LabelledPixels:
-    """An image and its labels.
-
-    `is_complete`: (2, 2, C) whether each class is completely labelled above and below, left and right of `meeting_xy`.
-    `meeting_xy`: (2,) point where the parts of a mosaic meet; any point for a single image.
-    """
+    """An image and its labels."""
 
     image: Image  # (H, W, 3) uint8, BGR before and RGB after the augmentation
     xyxy: FloatArray  # (M, 4) float64 boxes in corner coordinates (the left edge is 0)
     class_index: IntArray  # (M,) int64 class of the network
     is_ignored: BoolArray  # (M,) detections of the object are neither true nor false positives
     confidence: FloatArray  # (M,) probability that there is such an object: 1 for labels, less for pseudo-labels
-    is_complete: BoolArray
-    meeting_xy: FloatArray = field(default_factory=lambda: np.zeros(2))
+    is_complete: BoolArray  # (2, 2, C) classes completely labelled above and below, left and right of `meeting_xy`
+    meeting_xy: FloatArray = field(default_factory=lambda: np.zeros(2))  # where the parts of a mosaic meet
 
 
 def single(
@@ -84,10 +75,7 @@ def mosaic(
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """The part of a training image that shows one image.
-
-    `columns`, `rows`: columns and rows of the training image.
-    """
+    """The part of a training image, in its `columns` and `rows`, that shows one image."""
 
     columns: slice
     rows: slice

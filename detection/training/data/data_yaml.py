@@ -100,10 +100,7 @@ _BACKGROUND_NOTE = "no label file: background"
 
 @dataclass(frozen=True, slots=True)
 class TrainingData:
-    """The data set of a data.yaml.
-
-    `train`, `val`: the images; their truth lists which classes are completely labelled.
-    """
+    """The data set of a data.yaml; the truth of its images lists which classes are completely labelled."""
 
     road_class_id: IntArray  # (C,) road class of each of the network's classes
     train: list[LabelledImage]
@@ -133,19 +130,14 @@ class TrainingData:
 
 @dataclass(frozen=True, slots=True)
 class OwnLabels:
-    """The images that the entries of a data.yaml list, with their labels alone.
-
-    `train`, `val`: the images, each once, without pseudo-labels and without those of another data.yaml; the boxes are
-    fractions of the image size. `val` may be empty. `labels_pseudo`: detections of each training image by its path;
-    None = the file names no folder of detections.
-    """
+    """The images that the entries of a data.yaml list, with their labels alone, as fractions of the image size."""
 
     path: Path
     root: Path  # folder that paths in the file are relative to
     names: tuple[str, ...]  # class names, in the order of the numbers in label files
-    train: list[LabelledImage]
-    val: list[LabelledImage]
-    labels_pseudo: dict[Path, YoloLabels] | None
+    train: list[LabelledImage]  # each once, without pseudo-labels and without those of another data.yaml; so is `val`
+    val: list[LabelledImage]  # may be empty
+    labels_pseudo: dict[Path, YoloLabels] | None  # of training images; None = the file names no folder of detections
     notes: tuple[str, ...]  # notes for the user on clipped boxes, ignored images and assumptions
 
     @property

@@ -47,14 +47,11 @@ class Samples:
 
 @dataclass(frozen=True, slots=True)
 class EnsembleCalibration:
-    """Coefficients of the logistic regression by class.
-
-    `n_positives`: (8,) number of matches from which the coefficients of a class were fitted; 0 = mean of the others.
-    """
+    """Coefficients of the logistic regression by class."""
 
     intercept: FloatArray  # (8,) a_c
     weight: FloatArray  # (8, D) w_cd
-    n_positives: IntArray
+    n_positives: IntArray  # (8,) matches from which a class was fitted; 0 = mean of the others
 
     def probability(self, score: FloatArray) -> FloatArray:
         """(K, 8) probability by class of boxes with the scores (K, D, 8); 0 for classes that were not detected."""

@@ -137,14 +137,10 @@ COUNTED_PROBABILITIES = (0.1, 0.3, 0.6)
 
 @dataclass(frozen=True, slots=True)
 class PseudoLabelFigures:
-    """Pseudo-labels of a data set in figures.
-
-    `n_labels`: (8, 3) number of pseudo-labels by class of at least each of `COUNTED_PROBABILITIES`, in images in which
-    the class is not completely labelled.
-    """
+    """Pseudo-labels of a data set in figures."""
 
     known_class_id: IntArray  # named road classes that at least one detector knows, in increasing order
-    n_labels: IntArray
+    n_labels: IntArray  # (8, 3) of at least each of `COUNTED_PROBABILITIES`, in images that lack labels of the class
     n_ignored: IntArray  # (8,) number of boxes to ignore, in images in which the class is completely labelled
     calibration: EnsembleCalibration  # the fitted coefficients
     validation: dict[int, Reliability]  # by road class that is labelled, the calibration on the validation images

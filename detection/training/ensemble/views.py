@@ -56,10 +56,7 @@ def detect_views(detector: ObjectDetector, image: Image) -> ViewBoxes:
 
 
 class EnsembleMember:
-    """One detector of an ensemble, and the folder of its boxes.
-
-    `is_known`: (8,) road classes that the detector knows completely, not only a kind of them such as stop signs.
-    """
+    """One detector of an ensemble, and the folder of its boxes."""
 
     def __init__(self, path: Path, stored: Path, *, size_px: int | None = None, runtime: Runtime | None = None) -> None:
         """Load the network of the ONNX file `path`; `stored` is the folder for the boxes of all members.
@@ -68,7 +65,7 @@ class EnsembleMember:
         """
         settings = YoloSettings(min_score=MIN_SCORE, max_iou=_MAX_IOU, max_boxes=_MAX_BOXES, size_px=size_px)
         self._detector = YoloDetector(path, settings, runtime=runtime)
-        self.is_known: BoolArray = fully_known(self._detector.model.names)
+        self.is_known: BoolArray = fully_known(self._detector.model.names)  # (8,) not only a kind of them
         # boxes of another network or input size are those of another member
         size = "default" if size_px is None else f"{size_px}"
         self._folder = stored / f"{path.stem}-{self._detector.session.sha256()[:12]}-{size}"

@@ -49,17 +49,13 @@ _EPSILON = 1e-9  # added to the largest a of an object, which is 0 if no predict
 
 @dataclass(frozen=True, slots=True)
 class AlignedCells(Rows):
-    """P positive cells.
+    """P positive cells."""
 
-    `image`, `cell`: (P,) int64 index of the image and of the cell among the N cells of all levels. `has_box`: (P,) the
-    target of the cell's box is this object's; false for all but one of the objects of a cell.
-    """
-
-    image: Tensor
-    cell: Tensor
+    image: Tensor  # (P,) int64 index of the image
+    cell: Tensor  # (P,) int64 index among the N cells of all levels
     object_index: Tensor  # (P,) int64 index of the object
     target: Tensor  # (P,) target of the score of the object's class, 0..1
-    has_box: Tensor
+    has_box: Tensor  # (P,) the target of the cell's box is this object's; false for all but one object of a cell
 
 
 @torch.no_grad()
@@ -68,12 +64,8 @@ def assign_aligned(
 ) -> AlignedCells:
     """The positive cells of T objects.
 
-    Args:
-        objects: the objects.
-        scores: (B, N, C) predicted class scores, 0..1.
-        cxcywh_px: (B, N, 4) predicted boxes.
-        centre_px: (N, 2) centres of the cells.
-        stride_px: (N,) sides of the cells.
+    `scores` (B, N, C) are in 0..1, `cxcywh_px` (B, N, 4) predicted boxes, `centre_px` (N, 2) and `stride_px` (N,)
+    centres and sides of the cells.
     """
     reach_px = (objects.cxcywh[:, None, 2:] / 2).clamp(min=float(stride_px.min()))
     is_inside = ((centre_px - objects.cxcywh[:, None, :2]).abs() < reach_px).all(-1)  # (T, N)

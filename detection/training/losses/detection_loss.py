@@ -64,10 +64,7 @@ Losses = Mapping[str, Tensor]  # weighted parts per image by name; their sum tim
 
 @dataclass(frozen=True, slots=True)
 class _Positives(Rows):
-    """P positive cells of one head, from labels and teacher, and their targets.
-
-    `image`, `anchor`, `row`, `column`: (P,) int64 indices of the cells.
-    """
+    """P positive cells of one head, from labels and teacher, by their (P,) int64 indices, and their targets."""
 
     image: Tensor
     anchor: Tensor

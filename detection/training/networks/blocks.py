@@ -45,10 +45,7 @@ def rounded_weights(weights: Tensor) -> Tensor:
 
 
 class ConvolutionBlock(nn.Module):
-    """Convolution without bias, batch norm and activation (default SiLU), with "same" padding by default.
-
-    `is_rounded`: whether INT8 rounding is simulated in training.
-    """
+    """Convolution without bias, batch norm and activation (default SiLU), with "same" padding by default."""
 
     def __init__(
         self,
@@ -64,7 +61,7 @@ class ConvolutionBlock(nn.Module):
         self.conv = nn.Conv2d(n_in, n_out, size, stride, size // 2 if padding is None else padding, bias=False)
         self.norm = nn.BatchNorm2d(n_out, eps=1e-3, momentum=0.03)
         self.activation = activation or nn.SiLU(inplace=True)
-        self.is_rounded = False
+        self.is_rounded = False  # INT8 rounding is simulated in training
 
     def forward(self, x: Tensor) -> Tensor:
         """(B, n_out, H / stride, W / stride) from `x` (B, n_in, H, W)."""

@@ -12,10 +12,7 @@ from track_range.detection.models.metadata import Anchors
 
 
 class DetectionNetwork(nn.Module):
-    """A network with several heads, each a grid of cells.
-
-    `name` is such as "yolov5n"; `has_cbam`: the backbone has CBAM attention.
-    """
+    """A network such as "yolov5n" with several heads, each a grid of cells; `has_cbam`: with CBAM attention."""
 
     strides_px: tuple[int, ...]  # side of a cell in pixels for each head, in the order of `forward`'s outputs
 
@@ -63,10 +60,7 @@ class AnchorNetwork(DetectionNetwork):
         raise NotImplementedError
 
     def decode(self, raw: Sequence[Tensor]) -> Tensor:
-        """See `DetectionNetwork`.
-
-        The boxes are ordered by head, anchor, row and column, as in YOLOv5's official export.
-        """
+        """See `DetectionNetwork`; the order is that of YOLOv5's official export: by head, anchor, row and column."""
         rows = []
         for head, stride_px, anchors_px in zip(raw, self.strides_px, self.anchors_px, strict=True):
             batch, n_anchors, n_rows, n_columns, _ = head.shape

@@ -19,7 +19,6 @@ from track_range.detection.formats.label_formats import is_blank
 from track_range.evaluation.events.scores import (
     CONTACT_COLUMNS,
     Contact,
-    LabelledBoxes,
     contact_scores,
     event_scores,
     is_warning,
@@ -82,7 +81,7 @@ def evaluate_events(settings: EventEvaluationSettings) -> dict[str, Any]:
         )
     else:
         objects, protocol = objects_by_boxes(events, columns, boxes), BY_BOXES
-        if missing := sorted({contact.object_id for contact in contacts} - set(boxes.object_id.tolist())):
+        if missing := sorted({contact.object_id for contact in contacts} - set(boxes.track_id.tolist())):
             inputs.notes.append(
                 f"{counted(len(missing), 'object')} with a contact, such as {missing[0]}, "
                 f"{'has' if len(missing) == 1 else 'have'} no labelled boxes; check that the labels belong to this "
@@ -132,7 +131,7 @@ class _Inputs:
             self.notes.append(f"The tracks beside the events cannot be read ({str(error).rstrip('.')}).")
             return None
 
-    def boxes(self, path: Path | None) -> LabelledBoxes | None:
+    def boxes(self, path: Path | None) -> Truth | None:
         beside = [self.drive / name for name in BOX_FILES]
         chosen = path or next((file for file in beside if file.is_file() and not is_blank(file, "labels")), None)
         return None if chosen is None else read_boxes(chosen)
@@ -143,7 +142,7 @@ class _Inputs:
         if not file.is_file() or is_blank(file, "labels"):
             return set()
         labels = read_boxes(file)
-        return set(labels.object_id[labels.class_name == "van"].tolist())
+        return set(labels.track_id[labels.kitti_type == "van"].tolist())
 
     def hours(self, columns: Columns | None) -> float | None:
         """Duration of the processed video from summary.json, else from the rows; None = unknown."""
@@ -214,7 +213,7 @@ TALL = "tall vehicles"  # section of buses, trucks and vans, whose rear is far b
 _TALL_CLASSES = ("bus", "truck", "van")
 
 
-def closing_errors(columns: Columns, boxes: LabelledBoxes, vans: Collection[int] = ()) -> dict[str, Any]:
+def closing_errors(columns: Columns, boxes: Truth, vans: Collection[int] = ()) -> dict[str, Any]:
     """Errors of the closing speeds of a run by class of the label, and of tall vehicles; figures as `score_closing`.
 
     `vans` are numbers of objects that are vans, for labels with the class car.
@@ -222,19 +221,10 @@ def closing_errors(columns: Columns, boxes: LabelledBoxes, vans: Collection[int]
     in_range = (boxes.distance_m >= NEAREST_M) & (boxes.distance_m <= FARTHEST_M) & np.isfinite(boxes.closing_mps)
     if not in_range.any():
         return {}
-    truth = Truth(
-        frame=boxes.frame,
-        track_id=boxes.object_id,
-        kitti_type=boxes.class_name,
-        class_id=np.zeros(len(boxes.frame), np.int64),
-        xyxy_px=boxes.xyxy_px,
-        distance_m=boxes.distance_m,
-        closing_mps=boxes.closing_mps,
-    )
-    rows = match_truth(columns["frame"].astype(np.int64), boxes_px(columns), truth)
+    rows = match_truth(columns["frame"].astype(np.int64), boxes_px(columns), boxes)
     true_mps = np.where((rows >= 0) & in_range[rows], boxes.closing_mps[rows], np.nan)
-    is_tall = np.isin(boxes.class_name, _TALL_CLASSES) | np.isin(boxes.object_id, list(vans))
-    classes = np.array([ROAD_CLASS_OF.get(str(name), str(name)) for name in boxes.class_name], np.str_)
+    is_tall = np.isin(boxes.kitti_type, _TALL_CLASSES) | np.isin(boxes.track_id, list(vans))
+    classes = np.array([ROAD_CLASS_OF.get(str(name), str(name)) for name in boxes.kitti_type], np.str_)
     sections = {}
     for name, chosen in [*((name, classes == name) for name in np.unique(classes[in_range])), (TALL, is_tall)]:
         class_mps = np.where((rows >= 0) & chosen[rows], true_mps, np.nan)

@@ -31,7 +31,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
 
 from track_range.detection.boxes import iou
@@ -39,9 +38,9 @@ from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES
 from track_range.detection.formats.label_formats import read_labels
 from track_range.detection.formats.video_labels.csv_labels import has_label_columns, read_csv_labels
 from track_range.evaluation.events.settings import MIN_LEAD_S
-from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.input_files import quoted
+from track_range.ranging.evaluation.truth import Truth
 from track_range.results.columns import Columns, boxes_px
 from track_range.results.events.event import EVENT_KINDS, WARNING_KINDS, Event
 from track_range.results.events.files import EventFileError
@@ -190,10 +189,7 @@ def _cost(event: Event, label: Event) -> float:
 
 
 def are_same_class(one: str, other: str) -> bool:
-    """Whether two objects may be the same by their classes: detectors confuse vehicles, and riders with two-wheelers.
-
-    An empty class is unknown.
-    """
+    """Whether two objects may be the same: vehicles are confused, and riders with two-wheelers; "" = unknown class."""
     groups = {_GROUPS.get(ROAD_CLASS_OF.get(name.lower(), name.lower()), name.lower()) for name in (one, other) if name}
     return len(groups) < 2
 
@@ -226,31 +222,22 @@ MIN_FRACTION = 0.2  # of the frames, in which a track overlaps its object: objec
 WINDOW_S, SAME_ID_WINDOW_S = 10.0, 30.0  # from a warning to a contact of its class, and of its number too
 
 
-@dataclass(frozen=True, slots=True)
-class LabelledBoxes:
-    """Boxes of the ground truth, one row per object and frame."""
+def read_boxes(path: Path) -> Truth:
+    """Objects of a file of labels in any format, in rectified pixels; `LabelFileError` if it cannot be read.
 
-    frame: IntArray  # (N,) frame number from 0
-    object_id: IntArray  # (N,) identity; -1 = none
-    class_name: npt.NDArray[np.str_]  # (N,) class in the file, in lower case
-    xyxy_px: FloatArray  # (N, 4) box
-    distance_m: FloatArray  # (N,) true distance; NaN = unknown, or less than half of the object is visible
-    closing_mps: FloatArray  # (N,) true closing speed; NaN = unknown
-
-
-def read_boxes(path: Path) -> LabelledBoxes:
-    """Boxes of a file of labels in any format, in rectified pixels; `LabelFileError` if it cannot be read."""
+    All count, and those of which less than half is visible have no distance.
+    """
     if path.is_file() and has_label_columns(path):
         labels = read_csv_labels(path)
         distance_m = np.where(labels.visible_share >= 0.5, labels.distance_m, np.nan)
-        ids, names, closing_mps = labels.track_id, labels.class_name, labels.closing_mps
-        return LabelledBoxes(labels.frame, ids, names, labels.xyxy_px, distance_m, closing_mps)
+        columns = (labels.xyxy_px, distance_m, labels.closing_mps)
+        return Truth(labels.frame, labels.track_id, labels.class_name, np.zeros_like(labels.frame), *columns)
     table = read_labels(path, expected="labels of the objects")
-    unknown = np.full(len(table), np.nan)
-    return LabelledBoxes(table.frame, table.track_id, table.class_name, table.xyxy_px, table.distance_m, unknown)
+    columns = (table.xyxy_px, table.distance_m, np.full(len(table), np.nan))
+    return Truth(table.frame, table.track_id, table.class_name, np.zeros_like(table.frame), *columns)
 
 
-def objects_by_boxes(events: Sequence[Event], columns: Columns, boxes: LabelledBoxes) -> list[int | None]:
+def objects_by_boxes(events: Sequence[Event], columns: Columns, boxes: Truth) -> list[int | None]:
     """Identity of the object of each event, from the boxes of its track in the rows of the run; None = none."""
     xyxy_px = boxes_px(columns)
     order = np.argsort(boxes.frame, kind="stable")
@@ -263,11 +250,11 @@ def objects_by_boxes(events: Sequence[Event], columns: Columns, boxes: LabelledB
         for row in rows.tolist():
             first, last = np.searchsorted(frames, [columns["frame"][row], columns["frame"][row] + 1]).tolist()
             labels = order[first:last]
-            labels = labels[boxes.object_id[labels] >= 0]
+            labels = labels[boxes.track_id[labels] >= 0]
             if len(labels):
                 overlap = iou(xyxy_px[row : row + 1], boxes.xyxy_px[labels])[0]
                 if overlap.max() >= MIN_IOU:
-                    votes[int(boxes.object_id[labels[overlap.argmax()]])] += 1
+                    votes[int(boxes.track_id[labels[overlap.argmax()]])] += 1
         best = votes.most_common(1)
         objects.append(best[0][0] if best and best[0][1] >= MIN_FRACTION * len(rows) else None)
     return objects

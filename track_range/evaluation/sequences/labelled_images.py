@@ -44,16 +44,12 @@ class LabelledFrames(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LabelledSource:
-    """The images and labels of an evaluation.
-
-    `label_format`: a name in `IMAGE_LABELS`; None = KITTI for a video, COCO for a .json file, else YOLO. `label_names`:
-    class names of YOLO's numbers; None = those of a file next to the labels, or the road classes.
-    """
+    """The images and labels of an evaluation."""
 
     images: Path  # folder of images, or a video
     labels: Path  # folder or file of labels
-    label_format: str | None = None
-    label_names: tuple[str, ...] | None = None
+    label_format: str | None = None  # in `IMAGE_LABELS`; None = KITTI for a video, COCO for a .json file, else YOLO
+    label_names: tuple[str, ...] | None = None  # of YOLO's numbers; None = of a file beside them, or the road classes
     manifest: Path | None = None  # CSV file with the split of each image and its completely labelled classes
     split: str = "val"  # split of the manifest to use
     leave_out: frozenset[Path] = frozenset()  # images of the folder to exclude

@@ -133,9 +133,7 @@ class Driver:
         self._arguments = (ray.put(plan), process, ray.put(files))
         self._slots = [Slot(number) for number in range(n_workers)]
         self._node = ray.get_runtime_context().get_node_id()  # not lost as long as the driver is at work
-        self._cancelled: list[
-            int
-        ] = []  # processes of this machine that have been cancelled, and may not have ended yet
+        self._cancelled: list[int] = []  # processes of this machine that may not have ended yet
         self._attempts = Attempts()
         self._has_started, self._n_starts_lost = False, 0
         self._start_s = time.monotonic()
@@ -183,10 +181,7 @@ class Driver:
             time.sleep(_POLL_S)
 
     def _take(self, slot: Slot) -> None:
-        """Take the next state of a worker, its outcome, or the error with which it ended.
-
-        Raises FleetError if the workers cannot start, or the results cannot be stored.
-        """
+        """Take a worker's next state, outcome or error; FleetError: workers cannot start, results cannot be stored."""
         try:
             value: WorkerState | ClipOutcome = ray.get(next(slot.states))
         except ray.exceptions.RayTaskError as error:

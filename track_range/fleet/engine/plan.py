@@ -38,10 +38,7 @@ _SHARED_FILES = RunSettings.fields_where(is_file) - _NOT_TAKEN  # that are, or m
 
 
 class FileNames:
-    """Names of the left and right video of a clip ("" = one camera); anonymized ones are without folders.
-
-    Folders may contain the name of a person.
-    """
+    """Names of the videos of a clip ("" = one camera), anonymized without folders, which may name a person."""
 
     def __init__(self, clip: Clip, *, is_anonymized: bool) -> None:
         self._is_anonymized = is_anonymized
@@ -70,58 +67,42 @@ def _folders(location: Location) -> Iterable[str]:
 
 @dataclass(frozen=True, slots=True)
 class ClipTask:
-    """A clip for a worker; attempts count from 1.
-
-    `known_hash`: content hash of the complete result, if the files have only been touched since; "" = none.
-    """
+    """A clip for a worker."""
 
     clip: Clip
-    attempt: int = 1
-    known_hash: str = ""
+    attempt: int = 1  # counted from 1
+    known_hash: str = ""  # content hash of the complete result, if the files have only been touched since; "" = none
 
 
 @dataclass(frozen=True, slots=True)
 class ClipOutcome:
-    """Answer of a worker about a clip, with its record; that of one that is done has been published.
-
-    Attributes:
-        is_unchanged: whether the content of the files is that of the complete result; only `inputs` of the row counts.
-        is_transient: whether the failure may not repeat itself.
-        defect: text of an exception that the processing has not caught; "" = none.
-        fatal: why the fleet cannot continue, one sentence; "" = it can.
-    """
+    """Answer of a worker about a clip, with its record; that of one that is done has been published."""
 
     row: Row
-    is_unchanged: bool = False
-    is_transient: bool = False
-    defect: str = ""
-    fatal: str = ""
+    is_unchanged: bool = False  # the content is that of the complete result; only `inputs` of the row counts
+    is_transient: bool = False  # the failure may not repeat itself
+    defect: str = ""  # text of an exception that the processing has not caught; "" = none
+    fatal: str = ""  # why the fleet cannot continue, one sentence; "" = it can
 
 
 @dataclass(slots=True)
 class ClipProgress:
-    """Progress of the clip that a worker is at; written by one thread and read by another.
+    """Progress of the clip that a worker is at; written by one thread and read by another."""
 
-    `phase`: "starting", "fetching", "opening", "processing" or "publishing"; `video_s`: 0 = not known yet.
-    """
-
-    phase: str = "starting"
+    phase: str = "starting"  # or "fetching", "opening", "processing", "publishing"
     frames: int = 0
-    video_s: float = 0.0
+    video_s: float = 0.0  # 0 = not known yet
     fetch_bytes: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FleetPlan:
-    """What every worker has to know: settings of the fleet, and options of the runs by name of the setting.
-
-    `settings_hash`: hash of the settings that all clips have in common; `shared`: those that are files.
-    """
+    """What every worker has to know: settings of the fleet, and options of the runs by name of the setting."""
 
     settings: FleetSettings
     options: Mapping[str, Any]
-    settings_hash: str = ""
-    shared: Collection[str] = ()
+    settings_hash: str = ""  # of the settings that all clips have in common
+    shared: Collection[str] = ()  # those that are files
     version: str = field(default_factory=lambda: version("track-range"))
 
     @property

@@ -114,10 +114,7 @@ def peak_memory_bytes() -> int:
 
 @contextmanager
 def scratch_folder(cache_dir: Path | None) -> Iterator[Path]:
-    """Folder of this process in `cache_dir` (None = the temporary folder), which is its temporary folder meanwhile.
-
-    Those of processes that were killed are removed.
-    """
+    """Temporary folder of this process, in `cache_dir` if given; those of processes that were killed are removed."""
     before = tempfile.tempdir
     parent = cache_dir or Path(tempfile.gettempdir())
     remove_dead_folders(parent, FOLDER_PREFIX)

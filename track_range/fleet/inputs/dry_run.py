@@ -27,23 +27,16 @@ _MAX_CALIBRATION_SIDE_PX = 16_384  # largest side of an image for which a calibr
 
 @dataclass(frozen=True, slots=True)
 class CheckedClip:
-    """Properties of a clip in the headers of its files.
-
-    Attributes:
-        size_px: (width, height) of the left video; None = not known, as for `fps`, `duration_s`, and `n_bytes`, the
-            size of its files.
-        calibration: "file", "focal length", "bag", "none", or "" = not known.
-        problems: reasons why it cannot be processed, sentences; `notes` are other remarks.
-    """
+    """Properties of a clip in the headers of its files; None, "" = not known."""
 
     clip: Clip
-    size_px: tuple[int, int] | None = None
+    size_px: tuple[int, int] | None = None  # (width, height) of the left video
     fps: float | None = None
     duration_s: float | None = None
-    n_bytes: int | None = None
-    calibration: str = ""
-    problems: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+    n_bytes: int | None = None  # of its files
+    calibration: str = ""  # "file", "focal length", "bag" or "none"
+    problems: tuple[str, ...] = ()  # reasons why it cannot be processed, sentences
+    notes: tuple[str, ...] = ()  # other remarks
 
 
 _Header = tuple[tuple[int, int], float, float, bool]

@@ -132,10 +132,7 @@ def publish_record(out: Location, row: Row) -> None:
 
 
 def read_clips(out: Location) -> pa.Table:
-    """The rows of all clips, those in the journal included.
-
-    Raises FleetError: clips.parquet is damaged, or of a newer version; StorageError: the storage cannot be read.
-    """
+    """The rows of all clips, with the journal; FleetError: clips.parquet is damaged or too new; StorageError."""
     rows = journal_rows(out, _journal_names(out))
     table = _compiled(out)  # read last: a row leaves the journal when it is in the table
     return (merged_table(table, rows) if rows else table).sort_by("clip")

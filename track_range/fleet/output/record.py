@@ -106,10 +106,7 @@ def _arrow_type(name: str, rows: Sequence[Mapping[str, Any]]) -> pa.DataType:
 
 
 def merged_table(base: pa.Table, rows: Mapping[str, Mapping[str, Any]]) -> pa.Table:
-    """The table with rows added, or replaced by name of the clip; parts that stay are not copied.
-
-    Columns whose types differ become text.
-    """
+    """The table, not copied, with rows added, or replaced by name; columns of two types become text."""
     import pyarrow as pa
     import pyarrow.compute as pc
 

@@ -103,14 +103,11 @@ def event_video(row: Mapping[str, Any]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class FleetFigures:
-    """Figures as in the JSON file (docs/fleet.md).
+    """Figures of a fleet and, by name, what links to the ranked clips need."""
 
-    By name of the clip: published files of the ranked clips, and time of the first frame of their overlays, s.
-    """
-
-    figures: Figures
-    files: Mapping[str, tuple[str, ...]]
-    starts_s: Mapping[str, float]
+    figures: Figures  # as in the JSON file (docs/fleet.md)
+    files: Mapping[str, tuple[str, ...]]  # published files
+    starts_s: Mapping[str, float]  # time of the first frame of the overlay
 
 
 def fleet_figures(
@@ -202,10 +199,7 @@ def _rows(
 
 
 def _read_clip(out: Location, name: str, n_events: float) -> tuple[TrackFigures, EventFigures, list[str]]:
-    """Figures of the rows and events of a clip, and the problems with its files in one sentence each.
-
-    NaN = unknown number of events, and no file of them.
-    """
+    """Figures of a clip's rows and events, and sentences on its files; NaN events: unknown number, without a file."""
     from pyarrow import ArrowException
     from pyarrow.parquet import ParquetFile
 

@@ -104,13 +104,7 @@ def track_figures(clip: str, table: pa.Table) -> TrackFigures:
 
 
 class _Rows:
-    """Rows of a clip as arrays (N,), by track and time; those of a column that is missing are NaN.
-
-    Attributes:
-        starts: first row of each track (T,); `track` is the index of the track of each row.
-        class_of_track: most frequent class of each track.
-        distance_m, sigma_m: reference distance and its standard deviation; NaN = unknown.
-    """
+    """Rows of a clip as arrays (N,), by track and time; those of a column that is missing are NaN."""
 
     def __init__(self, table: pa.Table) -> None:
         import pyarrow as pa
@@ -125,8 +119,8 @@ class _Rows:
         self._unknown = np.full(len(order), np.nan)
         self._methods = _methods(table.column_names)
         is_first = np.diff(self._columns["track_id"], prepend=np.nan) != 0
-        self.starts: IntArray = np.flatnonzero(is_first)
-        self.track: IntArray = np.cumsum(is_first) - 1
+        self.starts: IntArray = np.flatnonzero(is_first)  # (T,) first row of each track
+        self.track: IntArray = np.cumsum(is_first) - 1  # (N,) index of the track of each row
         self.time_s = self._columns["time_s"]
         self.observed: BoolArray = self._column("observed") != 0
 
@@ -134,7 +128,7 @@ class _Rows:
         codes = classes.indices.to_numpy()[order].astype(np.int64)
         n_cells = len(self.starts) * len(names)
         counts = np.bincount(self.track * len(names) + codes, minlength=n_cells).reshape(-1, len(names))
-        self.class_of_track = [names[code] for code in counts.argmax(axis=1)]
+        self.class_of_track = [names[code] for code in counts.argmax(axis=1)]  # the most frequent one
 
         self.distance_m, self.sigma_m = self._unknown, self._unknown
         for method in _REFERENCES:

@@ -27,16 +27,13 @@ _MAX_NAME = 200  # largest length of a file name in the cache, bytes; object sto
 
 @dataclass(frozen=True, slots=True)
 class FetchedFile:
-    """A file of a clip as it was read, with the local path; size in bytes and time in ns as in `FileStat`.
-
-    `sha256`: hash of the content in hexadecimal digits; of a folder, of the names and contents of its files.
-    """
+    """A file of a clip as it was read, with the local path; size in bytes and time in ns as in `FileStat`."""
 
     address: str
     path: Path
     size: int
     mtime_ns: int
-    sha256: str
+    sha256: str  # hexadecimal, of the content; of a folder, of the names and contents of its files
 
 
 @contextmanager

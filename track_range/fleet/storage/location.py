@@ -44,13 +44,10 @@ _QUERY, _LINK_QUERY = re.compile(r"\?.*$", re.DOTALL), re.compile(r"[?#].*$", re
 
 @dataclass(frozen=True, slots=True)
 class FileStat:
-    """Size in bytes (-1 = not stated by a web server), and time of the last change in ns since 1970 (0 = not stated).
+    """Size and time of the last change of a file; of a folder, 0 or those of its files."""
 
-    Those of a folder are 0, or those of its files.
-    """
-
-    size: int
-    mtime_ns: int
+    size: int  # bytes; -1 = not stated by a web server
+    mtime_ns: int  # since 1970; 0 = not stated
     is_folder: bool = False
 
 

@@ -62,10 +62,7 @@ def write_png(path: Path, image: npt.NDArray[np.uint8] | npt.NDArray[np.uint16])
 
 
 def disparity_map(inverse_depth: FloatArray, rig: StereoRig) -> npt.NDArray[np.uint16]:
-    """(H, W) true disparities in KITTI's format: 256 d, with 0 for sky, object edges and d >= 256 px.
-
-    `inverse_depth` is (2 H, 2 W), that of the samples in 1/m.
-    """
+    """(H, W) disparities as in KITTI: 256 d, 0 for sky, edges and d >= 256 px; `inverse_depth` (2 H, 2 W) in 1/m."""
     height, width = inverse_depth.shape
     samples = inverse_depth.reshape(height // 2, 2, width // 2, 2) * (rig.left.fx_px * rig.baseline_m)
     is_smooth = samples.max(axis=(1, 3)) - samples.min(axis=(1, 3)) <= EDGE_PX

@@ -58,10 +58,7 @@ def rig_in_file(rig: StereoRig, faults: Faults) -> StereoRig:
 
 
 def with_rain(image: Image, rig: StereoRig, seed: list[int], *, rain: float, is_right: bool) -> Image:
-    """A copy of an image (H, W, 3) with streaks of rain of a density from 0 to 1.
-
-    `seed` is that of the drops of this frame; left and right image show the same drops.
-    """
+    """A copy of an image (H, W, 3) with streaks of rain, density 0 to 1; a pair of images has one `seed`."""
     camera = rig.left
     rng = np.random.default_rng(seed)
     n_drops = rng.poisson(rain * DROPS_PER_M3 * 900)

@@ -99,10 +99,7 @@ def _with_margin(picture: Image) -> Image:
 
 @dataclass(frozen=True, slots=True)
 class FaceTable:
-    """Faces as arrays, see `faces.Face`, with vectors in metres; a few operations transform, cull and split them.
-
-    `label` is what the masks show at the face: its `IdentifyingPart`, or a number of part and road user (`Crowd`).
-    """
+    """Faces as arrays, see `faces.Face`, with vectors in metres; a few operations transform, cull and split them."""
 
     corner: FloatArray  # (F, 3)
     along: FloatArray  # (F, 3)
@@ -111,7 +108,7 @@ class FaceTable:
     texels: IntArray  # (F, 2) rows and columns of the textures
     two_sided: BoolArray  # (F,) whether the back is visible too
     is_shadow: BoolArray  # (F,) whether the face is a shadow
-    label: IntArray  # (F,)
+    label: IntArray  # (F,) what masks show: an `IdentifyingPart`, or a number of part and road user (`Crowd`)
 
     def __len__(self) -> int:
         return len(self.corner)

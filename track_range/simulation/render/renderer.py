@@ -262,10 +262,7 @@ def _finer(camera: PinholeCamera) -> PinholeCamera:
 
 
 class Crowd:
-    """Faces of many bodies, stored in the frame of each body.
-
-    The labels of faces are 2 n + part for body n (`faces.IdentifyingPart`), and 0 for other faces.
-    """
+    """Faces of many bodies, in the frame of each; labels are 2 n + part of body n (`faces.IdentifyingPart`), else 0."""
 
     def __init__(self, bodies: Sequence[Sequence[Face]], store: TextureStore) -> None:
         faces = FaceTable.of([face for body in bodies for face in body], store)

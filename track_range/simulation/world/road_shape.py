@@ -20,11 +20,7 @@ WOBBLE_HZ = (0.7, 1.3, 2.1)  # frequencies of a car's pitch and roll on its spri
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoadShape:
-    """A winding, hilly road.
-
-    `swing_m`, `swing_length_m`, `swing_phase_rad`: amplitude, period and phase of its lateral sine. `hill_m`,
-    `hill_length_m`, `hill_phase_rad`: amplitude, period and phase of its vertical sine.
-    """
+    """A winding, hilly road: amplitude, period and phase of a lateral sine (swing) and of a vertical one (hill)."""
 
     swing_m: float = 0.0
     swing_length_m: float = 320.0
@@ -65,10 +61,7 @@ STRAIGHT = RoadShape()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wobble:
-    """Pitch and roll of the ego car on its springs: a sum of sines with random phases.
-
-    `pitch_rad`, `roll_rad`: root mean squares of pitch and roll.
-    """
+    """Pitch and roll of the ego car on its springs, with these root mean squares: sums of sines with random phases."""
 
     pitch_rad: float = 0.0
     roll_rad: float = 0.0

@@ -30,16 +30,12 @@ class Row:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Surroundings:
-    """One kind of road.
-
-    `lanes`: (number, from, to): 0 = the ego lane, 1 = the next one to its right, -1 = the next one to its left.
-    `solid_m`, `dashed_m`: centres of solid and dashed lines.
-    """
+    """One kind of road."""
 
     half_width_m: float  # half of the width of the ground
-    lanes: tuple[tuple[int, float, float], ...]
+    lanes: tuple[tuple[int, float, float], ...]  # (number, from, to): 0 = ego lane, 1 = right of it, -1 = left of it
     bands: tuple[tuple[float, float, Colour], ...]  # (from, to, colour) of the ground that is not asphalt
-    solid_m: tuple[float, ...]
+    solid_m: tuple[float, ...]  # centres of the lines
     dashed_m: tuple[float, ...]
     dash_m: tuple[float, float]  # length and period of dashes
     side: Literal["houses", "woods"]  # scenery at the edges of the ground

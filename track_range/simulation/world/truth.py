@@ -162,10 +162,7 @@ def visible_fractions(
 def visible_objects(
     scene: Scene, time_s: float, *, frame: int, camera: PinholeCamera, inverse_depth: FloatArray | None = None
 ) -> VisibleObjects:
-    """The objects that the left camera sees at a time; for `inverse_depth` see `visible_fractions`.
-
-    `frame` is the frame number for the labels.
-    """
+    """The objects that the left camera sees, labelled for a frame number; `inverse_depth`: see `visible_fractions`."""
     location, size, yaw = scene.location_m(time_s), scene.size_hwl_m(), scene.rotation_y_rad(time_s)
     inside, outside = boxes_in_image(corners_m(location, size, scene.rotations(time_s)), camera)
     nearest_first = np.argsort(location[:, 2], kind="stable")

@@ -133,10 +133,7 @@ BUILDERS: dict[str, Callable[[np.random.Generator, Size], list[Face]]] = {
 
 
 def body_of(user: RoadUser, seed: int) -> list[Face]:
-    """The faces of a road user in its frame; its appearance depends on the seed and its track id.
-
-    A traffic sign that is higher than a pole hangs on a gantry.
-    """
+    """Faces of a road user in its frame, by seed and track id; a sign that is higher than a pole hangs on a gantry."""
     rng = np.random.default_rng([seed, 2, user.track_id])
     if user.kitti_type == "TrafficSign" and user.raised_m > POLE_M:
         return overhead_sign(rng, user.size_hwl_m, user.raised_m)

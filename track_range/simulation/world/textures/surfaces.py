@@ -31,10 +31,7 @@ _REACH = 4  # radius of the filter that extracts the dirt on window panes, texel
 
 
 def value_noise(rng: np.random.Generator, shape: tuple[int, int], *, cells: tuple[int, ...]) -> FloatArray:
-    """(H, W) value noise with mean 0 and standard deviation of about 1; `cells` are the grain sizes in texels.
-
-    It is periodic if the grain sizes divide the shape.
-    """
+    """(H, W) noise, mean 0 and sigma about 1, with grains of `cells` texels; periodic if these divide the shape."""
     height, width = shape
     total: npt.NDArray[np.float32] = np.zeros(shape, np.float32)
     for cell in cells:
