@@ -29,9 +29,7 @@ BoxErrors = Mapping[str, BoxError]  # by road class; classes that it lacks have 
 UNKNOWN_DETECTOR: BoxErrors = dict.fromkeys(ROAD_CLASSES, BoxError(0.0, 0.05, 0.0, 0.05))
 """Errors of an unknown detector: the means of detectors differ by 0.03, those of the drives of a detector by 0.04."""
 
-NO_ERRORS: BoxErrors = dict.fromkeys(ROAD_CLASSES, BoxError(0.0, 0.0, 0.0, 0.0))
-"""Exact boxes, such as labels that are projections of 3-D boxes."""
-
+NO_ERRORS: BoxErrors = dict.fromkeys(ROAD_CLASSES, BoxError(0.0, 0.0, 0.0, 0.0))  # as of projected 3-D boxes
 COCO_BOX_ERRORS: Mapping[str, BoxErrors] = {
     "YOLOv5": {"car": BoxError(-0.035, 0.045, 0.0, 0.045)},
     "YOLOX": {"car": BoxError(0.02, 0.045, 0.0, 0.045)},

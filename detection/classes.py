@@ -34,9 +34,7 @@ For detectors' class names. For KITTI's ground truth, `KITTI_IGNORED` excludes s
 """
 
 _KINDS = ("stop sign", "van", "cyclist", "person_sitting")  # names in `ROAD_CLASS_OF` for only part of their class
-SAME_OBJECT_GROUP: IntArray = np.array([0, 1, 2, 1, 2, 2, 3, 4])
-"""(8,) group number by class_id: detectors confuse the classes of one group with each other on the same object."""
-
+SAME_OBJECT_GROUP: IntArray = np.array([0, 1, 2, 1, 2, 2, 3, 4])  # by class_id: detectors confuse those of a group
 KITTI_IGNORED = ("Van", "Tram", "Misc", "Person", "Person_sitting", "DontCare")
 """KITTI types that count neither as true nor as false positives: similar to an evaluated class, or crowd regions."""
 
@@ -57,9 +55,7 @@ COCO_CLASSES = (
 
 _UNUSED_COCO_IDS = (0, 12, 26, 29, 30, 45, 66, 68, 69, 71, 83)  # ids that COCO's annotations do not use
 _COCO_NAME_OF_ID = dict(zip((i for i in range(91) if i not in _UNUSED_COCO_IDS), COCO_CLASSES, strict=True))
-
-COCO_CATEGORIES = tuple(_COCO_NAME_OF_ID.get(i, "N/A") for i in range(91))
-"""COCO's class names by category id 0 to 90, in the order of DETR's and RF-DETR's outputs; "N/A" for unused ids."""
+COCO_CATEGORIES = tuple(_COCO_NAME_OF_ID.get(i, "N/A") for i in range(91))  # by category id, "N/A" = unused
 
 # fmt: off
 VOC_CLASSES = (

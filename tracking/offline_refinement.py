@@ -28,8 +28,7 @@ class RefinementSettings:
     min_score_fraction: float = 1.0  # minimum mean score of a track / its activation threshold
 
 
-ActivationThreshold = Callable[[IntArray], FloatArray]
-"""Track-activation thresholds (N,) of classes (N,), see `track_range.tracking.registry.RefinableTracker`."""
+ActivationThreshold = Callable[[IntArray], FloatArray]  # of (N,) classes, see `registry.RefinableTracker`
 
 
 class OfflineRefinement:

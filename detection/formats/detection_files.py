@@ -33,9 +33,7 @@ from track_range.foundation.files.numeric_text import are_integers, number
 
 _MAX_FEATURE = 1e15  # of an embedding: sums of squares do not overflow in float32
 _MAX_SCORE = 1e6  # scores are probabilities, or margins of a few units
-
-DetectionFormat = Literal["mot", "kitti", "rrc", "tracks", "labels"]
-"""Format of a file: MOTChallenge, KITTI, plain rows as published by RRC, track-range's tracks.csv, or other labels."""
+DetectionFormat = Literal["mot", "kitti", "rrc", "tracks", "labels"]  # rrc: plain rows; tracks: a tracks.csv
 
 
 class _Rows(NamedTuple):

@@ -58,10 +58,7 @@ tensors of YOLOv5n, YOLOv4-tiny and YOLOX-nano, except two of YOLOX-nano (0.21 a
 average precision."""
 
 _N_BIAS_BLOBS = 32  # images on which the shift of a convolution's output is measured
-
-_BETWEEN = frozenset("Add Concat LeakyRelu MaxPool Mul Resize Sigmoid Slice".split())
-"""Operators that are quantised if they lie between quantised convolutions, to avoid conversions to float and back."""
-
+_BETWEEN = frozenset("Add Concat LeakyRelu MaxPool Mul Resize Sigmoid Slice".split())  # quantised between convolutions
 _QUANTISED = frozenset("ConvInteger DequantizeLinear DynamicQuantizeLinear QLinearConv QuantizeLinear".split())
 
 

@@ -23,9 +23,7 @@ Colours = Literal["rgb", "bgr"]
 Triple = tuple[float, float, float]
 
 IMAGENET_MEAN: Triple = (0.485, 0.456, 0.406)
-IMAGENET_STD: Triple = (0.229, 0.224, 0.225)
-"""Mean and standard deviation of ImageNet's pixels, RGB / 255, which many backbones are trained with."""
-
+IMAGENET_STD: Triple = (0.229, 0.224, 0.225)  # ImageNet's, RGB / 255; many backbones are trained with them
 LETTERBOXES = "centred-114, centred-128, top-left-114, stretch"  # common `--letterbox`: placement, padding
 _LETTERBOX = re.compile(r"(centred|top-left|stretch)(?:-(\d{1,3}))?")
 

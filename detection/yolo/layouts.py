@@ -53,10 +53,7 @@ _SUPPRESSED_HINT = "they are the result of a suppression that returns any number
 """Advice on outputs [N, 6] and [N, 7], as of PaddleDetection and of YOLOv7's `--end2end`."""
 
 _STRIDES_PX = (8, 16, 32)  # of the grids of YOLOX, YOLOv8 and YOLO11
-
-_ANCHOR_STRIDES_PX = {(8, 16, 32): "YOLOv5", (8, 16, 32, 64): "YOLOv5", (16, 32): "YOLOv4-tiny"}
-"""Default family by the strides of the grids, for networks with anchors."""
-
+_ANCHOR_STRIDES_PX = {(8, 16, 32): "YOLOv5", (8, 16, 32, 64): "YOLOv5", (16, 32): "YOLOv4-tiny"}  # by strides of grids
 _ANCHORS_PER_CELL = 3  # of YOLOv3, v4 and v5
 
 _DEFAULT_NAMES = {80: ("COCO", COCO_CLASSES), 20: ("VOC", VOC_CLASSES), 91: ("COCO", COCO_CATEGORIES)}

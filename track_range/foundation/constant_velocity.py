@@ -1,10 +1,10 @@
 """ConstantVelocity: Kalman filters of values x and their rates v, one per element of arrays of any shape.
 
     predict    x' = x + v dt     v' = v     P' = F P F^T + Q     F = [[1, dt], [0, 1]]
-               Q = q [[dt^3/3, dt^2/2], [dt^2/2, dt]] + drift [[dt, 0], [0, 0]]
+               Q = q [[dt^3/3, dt^2/2], [dt^2/2, dt]]
     update     S = P_xx + R      K = [P_xx, P_xv] / S      [x, v]' = [x, v] + K nu      P' = P - K S K^T
 
-q and drift are power spectral densities of continuous noise, so two steps of dt/2 equal one step of dt. nu = z - x is
+q is the power spectral density of continuous noise, so that two steps of dt/2 equal one step of dt. nu = z - x is
 the innovation of a measurement z of x with variance R.
 """
 
@@ -32,15 +32,13 @@ class ConstantVelocity:
         """The values in the order of the constructor."""
         return self.x, self.v, self.P_xx, self.P_xv, self.P_vv
 
-    def predict(
-        self, dt: FloatArray | float, *, q: FloatArray | float, drift: FloatArray | float = 0.0
-    ) -> ConstantVelocity:
-        """The states after `dt` >= 0 s; per second, the variance of v grows by `q` and that of x by `drift` besides."""
+    def predict(self, dt: FloatArray | float, *, q: FloatArray | float) -> ConstantVelocity:
+        """The states after `dt` >= 0 seconds, in each of which the variance of v grows by `q`."""
         P_xv = self.P_xv + dt * self.P_vv
         return ConstantVelocity(
             x=self.x + dt * self.v,
             v=self.v,
-            P_xx=self.P_xx + dt * (self.P_xv + P_xv + q * (dt * dt / 3) + drift),
+            P_xx=self.P_xx + dt * (self.P_xv + P_xv + q * (dt * dt / 3)),
             P_xv=P_xv + q * (dt * dt / 2),
             P_vv=self.P_vv + q * dt,
         )

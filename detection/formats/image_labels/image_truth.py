@@ -14,8 +14,7 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check
 ANY_CLASS = -1  # class_id of labels that are ignored for every class, such as KITTI's Misc
 ALL_COMPLETE: BoolArray = np.ones(len(ROAD_CLASSES), np.bool_)  # (8,) for images with all road classes labelled
 _KITTI_NEIGHBOUR = {"Van": "car", "Person_sitting": "person"}  # ignored types, and similar evaluated classes
-_KITTI_COMPLETE: BoolArray = np.isin(ROAD_CLASSES, ("person", "bicycle", "car", "truck"))
-"""(8,) classes that KITTI labels: all but motorcycles, buses, traffic lights and traffic signs."""
+_KITTI_COMPLETE: BoolArray = np.isin(ROAD_CLASSES, ("person", "bicycle", "car", "truck"))  # (8,) classes that it labels
 
 
 @dataclass(frozen=True, slots=True)

@@ -57,10 +57,7 @@ _TOLERANCE_PX, _TOLERANCE_OF_SIZE, _TOLERANCE_OF_DISTANCE = 1.0, 0.02, 0.02
 side, whichever is larger, and of the distance as a fraction of it."""
 
 _MAX_STEP = 50  # largest number of boxes from one keyframe to the next, which limits the time to choose them
-
-_LIMITS = {"distance_m": (0.0, MAX_DISTANCE_M), "sigma_m": (0.0, MAX_DISTANCE_M), "score": (-1e6, 1e6)}
-"""Smallest and largest value of each attribute that is a number."""
-
+_LIMITS = {"distance_m": (0.0, MAX_DISTANCE_M), "sigma_m": (0.0, MAX_DISTANCE_M), "score": (-1e6, 1e6)}  # of numbers
 _DECIMALS = {"distance_m": 3, "sigma_m": 3, "score": 4}
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # characters that XML cannot contain
 

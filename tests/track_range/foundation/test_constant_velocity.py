@@ -20,14 +20,14 @@ def test_equals_filterpy():
     oracle = KalmanFilter(dim_x=2, dim_z=1)
     oracle.x, oracle.P = np.array([[3.0], [-2.0]]), np.array([[4.0, 0.5], [0.5, 9.0]])
     oracle.H = np.array([[1.0, 0.0]])
-    state, q, drift = states((2, 3)), 1.5, 0.7
+    state, q = states((2, 3)), 1.5
     for _ in range(30):
         dt, z, R = rng.uniform(0.01, 0.4), rng.normal(), rng.uniform(0.1, 3.0)
         oracle.F = np.array([[1, dt], [0, 1]])
-        oracle.Q = q * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]]) + np.diag([drift * dt, 0.0])
+        oracle.Q = q * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
         oracle.predict()
         oracle.update(np.array([[z]]), R=np.array([[R]]))
-        state = state.predict(dt, q=q, drift=drift)
+        state = state.predict(dt, q=q)
         state = state.update(z - state.x, R)
         expected = [*oracle.x[:, 0], oracle.P[0, 0], oracle.P[0, 1], oracle.P[1, 1]]
         for array, number in zip(arrays(state), expected, strict=True):
@@ -35,8 +35,8 @@ def test_equals_filterpy():
 
 
 def test_two_half_steps_equal_one_step():
-    once = states(1).predict(0.2, q=2.0, drift=0.3)
-    twice = states(1).predict(0.1, q=2.0, drift=0.3).predict(0.1, q=2.0, drift=0.3)
+    once = states(1).predict(0.2, q=2.0)
+    twice = states(1).predict(0.1, q=2.0).predict(0.1, q=2.0)
     for a, b in zip(arrays(once), arrays(twice), strict=True):
         assert a == pytest.approx(b)
 

@@ -39,8 +39,7 @@ class CheckedClip:
     notes: tuple[str, ...] = ()  # other remarks
 
 
-_Header = tuple[tuple[int, int], float, float, bool]
-"""Size in px, frame rate and duration in s of a video (0 = not stated), and whether a bag has its calibration."""
+_Header = tuple[tuple[int, int], float, float, bool]  # size, frames/s, seconds (0 = not stated), has a calibration
 
 
 @dataclass(slots=True)

@@ -31,10 +31,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 _EXPECTED = "a manifest with the column left and optionally clip, right, rig, ego_speed, truth and others"
-
-_FLEET_OPTIONS = RunSettings.fields_where(lambda field: option_of(field).is_shared)
-"""Options of a run that are equal for all clips; as a label they would be read as a setting that has an effect."""
-
+_FLEET_OPTIONS = RunSettings.fields_where(lambda field: option_of(field).is_shared)  # equal for all clips: no labels
 _MAX_COLUMNS, _MAX_CELLS, _MAX_CELL = 1000, 50_000_000, 10_000  # cells in a Parquet file, characters in a cell
 
 

@@ -14,9 +14,7 @@ from track_range.foundation.files.images import IMAGE_SUFFIXES
 from track_range.recording.segments.segmented_video import VIDEO_SUFFIXES
 from track_range.results.events.event import CLIPS_FOLDER, is_clip_name
 
-_VIDEO_SUFFIXES, _IMAGE_SUFFIXES = tuple(sorted(VIDEO_SUFFIXES)), tuple(sorted(IMAGE_SUFFIXES))
-"""Suffixes as `str.endswith` needs them, which is called for every file."""
-
+_VIDEO_SUFFIXES, _IMAGE_SUFFIXES = tuple(sorted(VIDEO_SUFFIXES)), tuple(sorted(IMAGE_SUFFIXES))  # for str.endswith
 _BAG_SUFFIXES = (".mcap", ".db3", ".bag")  # suffixes of MCAP files and ROS bags
 _RESULT_NAMES = ("overlay.mp4", "disparity.mp4", "run.mcap")  # files that runs write, which are not recordings
 # file and folders in the results of a fleet, which may be below the recordings

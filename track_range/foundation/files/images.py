@@ -69,15 +69,13 @@ def read_image(
     return _decoded(stored, path, error, expected, flags)
 
 
-def decode_image(
-    stored: bytes, source: object, error: type[Exception], expected: str = "an image", *, flags: int = cv2.IMREAD_COLOR
-) -> npt.NDArray[Any]:
+def decode_image(stored: bytes, source: object, error: type[Exception], *, flags: int) -> npt.NDArray[Any]:
     """The image of a file in memory, see `read_image`; raises `error`, which names `source`, if it is unusable."""
     size_px = header_size_px(io.BytesIO(stored))
     if size_px is None or 0 in size_px:
-        raise error(f"{source}: expected {expected} (PNG or JPEG), found another format or damaged data.")
+        raise error(f"{source}: expected an image (PNG or JPEG), found another format or damaged data.")
     check_size(source, size_px, error)
-    return _decoded(stored, source, error, expected, flags)
+    return _decoded(stored, source, error, "an image", flags)
 
 
 def _decoded(stored: bytes, path: object, error: type[Exception], expected: str, flags: int) -> npt.NDArray[Any]:

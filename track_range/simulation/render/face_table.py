@@ -17,10 +17,7 @@ from track_range.foundation.arrays import BoolArray, FloatArray, Image, IntArray
 from track_range.simulation.world.bodies.faces import Face
 
 STEPS_PER_DOUBLING = 4  # number of sizes per factor of 2
-
-STEPS = np.unique(np.ceil(2 ** (np.arange(14 * STEPS_PER_DOUBLING) / STEPS_PER_DOUBLING)).astype(np.int64))
-"""Sizes of averaged textures, texels."""
-
+STEPS = np.unique(np.ceil(2 ** (np.arange(14 * STEPS_PER_DOUBLING) / STEPS_PER_DOUBLING)).astype(np.int64))  # texels
 MAX_BYTES = 128 * 2**20  # default size of the cache; a full cache is emptied
 Window = tuple[int, int, int, int]  # part of a texture: first row, end row, first column, end column
 

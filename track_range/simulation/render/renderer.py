@@ -132,9 +132,9 @@ class Renderer:
         self._solids.draw(canvas, np.array([row]), poses, repeat(True))
         return np.asarray(canvas.inverse_depth, np.float64)
 
-    def depth_m(self, time_s: float, *, side: Side = "left") -> FloatArray:
-        """(H, W) exact depth of each pixel, from the mean of 1/z over its samples; NaN = sky."""
-        inverse = self._in_pixels(self._drawn(time_s, side))
+    def depth_m(self, time_s: float) -> FloatArray:
+        """(H, W) exact depth of each pixel of the left image, from the mean of 1/z over its samples; NaN = sky."""
+        inverse = self._in_pixels(self._drawn(time_s, "left"))
         return np.asarray(1.0 / np.where(inverse > 0, inverse, np.nan), np.float64)
 
     def surface(self, row: int) -> Surface:

@@ -30,8 +30,7 @@ FAR_M = 260.0  # distance up to which the street is drawn
 SIDE_HEIGHT_M, RAIL_HEIGHT_M = 9.0, 0.8  # heights of the houses or woods, and of guard rails
 STRETCHES_M = ((0.0, 3), (24.0, 6), (72.0, 24))  # (distance, length); each length divides the next, the last the period
 WINDING_STRETCHES_M = ((0.0, 3), (24.0, 6), (72.0, 12))  # on winding roads, from which chords of 24 m deviate
-_Textures = dict[tuple[float, int], tuple[int, tuple[int, ...]]]
-"""Number, and rows and columns, of a strip's texture by start of the stretch in its period and length of it."""
+_Textures = dict[tuple[float, int], tuple[int, tuple[int, ...]]]  # number, size by start in the period and length
 
 
 class Street:
@@ -119,10 +118,7 @@ def _shortened(picture: Image, axis: int, factor: int) -> Image:
 
 VISIBLE_M = 130.0  # distance up to which objects are drawn
 N_TREES = 3  # number of different tree textures
-
-TREE_M, LAMP_M, POST_M = np.array([4.5, 6.5]), np.array([2.2, 7.5]), np.array([0.12, 1.0])
-"""Mean width and height of a tree, and those of a lamp, whose head is above the road, and of a post."""
-
+TREE_M, LAMP_M, POST_M = np.array([4.5, 6.5]), np.array([2.2, 7.5]), np.array([0.12, 1.0])  # mean width and height
 _STEEL = (96.0, 98.0, 96.0)
 
 

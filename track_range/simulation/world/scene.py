@@ -210,9 +210,7 @@ PEOPLE: tuple[TownUser, ...] = (
     ("Pedestrian", -8.7, 40.0, AWAY_RAD, 1.5),
 )
 
-ONCOMING_FROM_M, ONCOMING_SPACING_M, ONCOMING_SPEED_MPS = 74.0, 48.0, 11.0
-"""Position of the first oncoming vehicle at time 0, distance between them, and their speed."""
-
+ONCOMING_FROM_M, ONCOMING_SPACING_M, ONCOMING_SPEED_MPS = 74.0, 48.0, 11.0  # of the first, at time 0; between them
 PARKED_SPACING_M, PARKED_FRACTION = 7.5, 0.6  # distance between parking spaces, and fraction of them that are occupied
 VIEW_M = 110.0  # distance beyond the last camera position up to which scenes contain objects
 

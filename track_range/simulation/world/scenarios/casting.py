@@ -15,9 +15,7 @@ from track_range.simulation.world.scene import AWAY_RAD, SIZE_HWL_M, SIZE_SPREAD
 WOBBLE_RAD = np.radians(0.12)  # root mean square of the pitch; that of the roll is half of it
 PARKED_SPACING_M = 7.5  # distance between parking spaces
 TRAFFIC_TYPES = (("Car", 0.8), ("Van", 0.12), ("Truck", 0.08))  # types of vehicles with their fractions
-
-SIGNS_M = {"city": (7.9, 55.0), "country": (3.9, 70.0), "highway": (10.6, 90.0)}
-"""Distance of traffic signs from the ego lane's centre, and between them, by surroundings."""
+SIGNS_M = {"city": (7.9, 55.0), "country": (3.9, 70.0), "highway": (10.6, 90.0)}  # from the ego lane, and between them
 
 
 def road_user(

@@ -122,7 +122,7 @@ def polygon(picture: Image, corners: list[tuple[float, float]], bgr: Colour) -> 
     cv2.fillPoly(picture, [points], (*bgr, 255), cv2.LINE_AA, 4)
 
 
-def pane(picture: Image, corners: list[tuple[float, float]], *, top: float = 96.0, bottom: float = 34.0) -> None:
+def pane(picture: Image, corners: list[tuple[float, float]]) -> None:
     """Paint a window pane: the sky's reflection at the top fades into the dark interior."""
     height, width = picture.shape[:2]
     points = np.rint(np.array(corners) * (width, height)).astype(np.int32)
@@ -132,20 +132,18 @@ def pane(picture: Image, corners: list[tuple[float, float]], *, top: float = 96.
     cv2.fillPoly(mask, [points - first], 255, cv2.LINE_AA)
     low, high = float(min(y for _, y in corners)), float(max(y for _, y in corners))
     rows = np.linspace(0, 1, height)[first[1] : last[1]]
-    grey = (top + (bottom - top) * np.clip((rows - low) / max(high - low, 1e-6), 0, 1) ** 0.6).astype(np.float32)
+    grey = (96.0 - 62.0 * np.clip((rows - low) / max(high - low, 1e-6), 0, 1) ** 0.6).astype(np.float32)
     dirt = (part.astype(np.float32) - cv2.blur(part, (2 * _REACH + 1, 2 * _REACH + 1))) * np.float32(0.7)
     glass = np.clip(grey[:, None, None] * np.array([1.06, 1.0, 0.93], np.float32) + dirt, 0, 255)
     part[:] = part + (glass - part) * (mask / np.float32(255))[:, :, None]
 
 
-def wheel(picture: Image, centre: tuple[float, float], radius: float, *, arch: float = 1.22) -> None:
+def wheel(picture: Image, centre: tuple[float, float], radius: float) -> None:
     """Paint a tyre with its rim in a dark arch; the radius is a fraction of the texture's height."""
     height, width = picture.shape[:2]
     at = (round(centre[0] * width), round(centre[1] * height))
-    reach = radius * height
-    cv2.ellipse(
-        picture, at, (round(reach * arch), round(reach * arch)), 0, 180, 360, (18, 18, 20, 255), -1, cv2.LINE_AA
-    )
+    reach, arch = radius * height, round(radius * height * 1.22)
+    cv2.ellipse(picture, at, (arch, arch), 0, 180, 360, (18, 18, 20, 255), -1, cv2.LINE_AA)
     cv2.circle(picture, at, round(reach), (*TYRE, 255), -1, cv2.LINE_AA)
     cv2.circle(picture, at, round(0.66 * reach), (*ALLOY, 255), -1, cv2.LINE_AA)
     cv2.circle(picture, at, round(0.58 * reach), (92, 94, 96, 255), -1, cv2.LINE_AA)
