@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
@@ -15,7 +14,7 @@ from track_range.calibration.reference_pairs import LEFT, RIGHT, open_pair, refe
 from track_range.calibration.settings import AlignmentSettings, RigCheckSettings
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import real_path
-from track_range.foundation.files.output_files import check_outputs, write_text
+from track_range.foundation.files.output_files import check_outputs, write_json
 from track_range.foundation.progress import StepProgress, no_progress
 from track_range.recording.recording import open_recording
 from track_range.stereo.alignment.feature_tracks import row_offset_px
@@ -101,8 +100,7 @@ class RigAlignment:
         Raises OutputError or RigError if a file cannot be written.
         """
         save_alignment(self.applied, settings.out)
-        if settings.json_file is not None:
-            write_text(settings.json_file, json.dumps(self.figures, indent=2, allow_nan=False) + "\n")
+        write_json(settings.json_file, self.figures)
 
 
 def align(
@@ -133,8 +131,7 @@ def check_rig_health(
     """
     check_outputs([] if settings.json_file is None else [settings.json_file], _inputs(settings))
     checked = _from_drives(settings, progress, check_baseline)
-    if settings.json_file is not None:
-        write_text(settings.json_file, json.dumps(checked.figures, indent=2, allow_nan=False) + "\n")
+    write_json(settings.json_file, checked.figures)
     return checked
 
 

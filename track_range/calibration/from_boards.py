@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -17,7 +16,7 @@ from track_range.calibration.board_search import BoardSearch, find_views
 from track_range.calibration.settings import CalibrationSettings
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.cache_folder import set_matplotlib_folder
-from track_range.foundation.files.output_files import check_outputs, write_bytes, write_text
+from track_range.foundation.files.output_files import check_outputs, write_bytes, write_json
 from track_range.foundation.progress import StepProgress, no_progress
 from track_range.stereo.calibration.boards import Board, board_of
 from track_range.stereo.calibration.coverage import view_shape
@@ -67,10 +66,8 @@ class BoardCalibration:
             save_camera(self.result.camera, settings.out, comments=comments)
         picture = picture_file(settings)
         write_bytes(picture, calibration_picture(self.cameras))
-        if settings.json_file is None:
-            return [settings.out, picture]
-        write_text(settings.json_file, json.dumps(self.figures, indent=2, allow_nan=False) + "\n")
-        return [settings.out, picture, settings.json_file]
+        write_json(settings.json_file, self.figures)
+        return [file for file in (settings.out, picture, settings.json_file) if file is not None]
 
 
 def calibrate(settings: CalibrationSettings, progress: StepProgress = no_progress) -> BoardCalibration:

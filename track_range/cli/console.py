@@ -18,41 +18,43 @@ from track_range.foundation.files.input_files import printable
 from track_range.views.report.tables import Grid, grids
 
 console = Console()  # console of all commands (standard output)
+_N_FIRST = 20  # notes that `print_first` prints
+_N_FIRST = 20  # notes that `print_first` prints
 
 
-def print_line(console: Console, text: str) -> None:
-    """Print a line without markup, highlighting or wrapping."""
-    console.print(text, highlight=False, markup=False, soft_wrap=True)
+def print_line(console: Console, *lines: str) -> None:
+    """Print lines without markup, highlighting or wrapping."""
+    for line in lines:
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
 def print_notes(console: Console, notes: Iterable[str]) -> None:
     """Print notes, each on a line after a dash."""
-    for note in notes:
-        print_line(console, f"- {printable(note)}")
+    print_line(console, *(f"- {printable(note)}" for note in notes))
 
 
-def print_first(console: Console, title: str, notes: Sequence[str], *, n_most: int = 20) -> None:
+def print_first(console: Console, title: str, notes: Sequence[str]) -> None:
     """Print a title, the first notes and the number of the others; nothing if there are none."""
     if notes:
-        more = [f"and {len(notes) - n_most} more"] if len(notes) > n_most else []
+        more = [f"and {len(notes) - _N_FIRST} more"] if len(notes) > _N_FIRST else []
         print_line(console, title)
-        print_notes(console, [*notes[:n_most], *more])
+        print_notes(console, [*notes[:_N_FIRST], *more])
 
 
 def print_summary(console: Console, summary: Mapping[str, Any]) -> None:
     """Print the tables of a run's summary."""
-    for grid in grids(summary):
-        print_grid(console, grid)
+    print_grid(console, *grids(summary))
 
 
-def print_grid(console: Console, grid: Grid) -> None:
-    """Print a grid with the best values bold and green; columns that do not fit are in further tables below."""
-    if grid.title and grid.columns:
-        # a separate line, because Rich wraps the title of a table at the width of the table
-        console.print(Text(grid.title, "italic"))
-    for part in _fitting(grid, console.width):
-        console.print(_table(part))
-        console.print()
+def print_grid(console: Console, *shown: Grid) -> None:
+    """Print grids with the best values bold and green; columns that do not fit are in further tables below."""
+    for grid in shown:
+        if grid.title and grid.columns:
+            # a separate line, because Rich wraps the title of a table at the width of the table
+            console.print(Text(grid.title, "italic"))
+        for part in _fitting(grid, console.width):
+            console.print(_table(part))
+            console.print()
 
 
 def _fitting(grid: Grid, width: int) -> Iterator[Grid]:
@@ -74,7 +76,6 @@ def _fitting(grid: Grid, width: int) -> Iterator[Grid]:
 
 
 def _width(grid: Grid, i: int) -> int:
-    """Width of a column in terminal cells."""
     texts = [*_heading(grid.columns[i]).split("\n"), *(row[i].text for row in grid.rows)]
     return max(map(cell_len, texts))
 
@@ -85,7 +86,6 @@ def _heading(text: str) -> str:
 
 
 def _table(grid: Grid) -> Table:
-    """Rich table of a grid, without interpretation of markup."""
     table = Table(box=box.SIMPLE_HEAD, padding=0, show_edge=False)
     for i, heading in enumerate(grid.columns):
         table.add_column(

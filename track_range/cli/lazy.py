@@ -156,14 +156,12 @@ class LazyGroup(HelpGroup):
         return name, command if name is None else self.load(name), rest
 
 
-def lazy_app(
-    modules: Mapping[str, Lazy], *, description: str = "", examples: tuple[str, ...] = (), **settings: Any
-) -> typer.Typer:
+def lazy_app(modules: Mapping[str, Lazy], *, examples: tuple[str, ...] = (), **settings: Any) -> typer.Typer:
     """A group of the commands in `modules`, in the order of the help page; `settings` are arguments of typer.Typer.
 
-    Description and examples are those of a group that is not in another one.
+    `examples` are those of a group that is not in another one.
     """
-    group = type("Group", (LazyGroup,), {"modules": modules, "description": description, "examples": examples})
+    group = type("Group", (LazyGroup,), {"modules": modules, "examples": examples})
     app = typer.Typer(cls=group, no_args_is_help=True, rich_markup_mode=None, **{"add_completion": False, **settings})
     for name, lazy in modules.items():
         app.command(name, help=lazy.summary)(_placeholder)

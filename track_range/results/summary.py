@@ -5,10 +5,8 @@ Figures without `_pct` are fractions 0..1, except MOT metrics, which are in per 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +14,6 @@ import numpy.typing as npt
 
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.foundation.files.output_files import write_text
 from track_range.ranging.evaluation.errors import (
     BANDS_M,
     MethodColumn,
@@ -133,8 +130,3 @@ def events_section(events: Sequence[Event], seconds: float) -> dict[str, Any]:
 def stage_times_ms(busy_s: Mapping[str, float], n_frames: int) -> dict[str, float]:
     """Run time of each stage in ms per frame."""
     return {name: round(1e3 * seconds / max(n_frames, 1), 3) for name, seconds in busy_s.items()}
-
-
-def write_summary(path: Path, summary: Mapping[str, Any]) -> None:
-    """Write summary.json atomically; raises ValueError for NaN, which is not valid JSON."""
-    write_text(path, json.dumps(summary, indent=2, allow_nan=False) + "\n")

@@ -16,14 +16,20 @@ from typing import Any, Self
 
 from track_range.foundation.errors import UserError, call_all
 from track_range.foundation.files.folder_lock import FolderLock
-from track_range.foundation.files.output_files import OutputError, check_outputs, clear_results, make_folder, write_text
+from track_range.foundation.files.output_files import (
+    OutputError,
+    check_outputs,
+    clear_results,
+    make_folder,
+    write_json,
+    write_text,
+)
 from track_range.pipeline.frame_result import FrameResult
 from track_range.recording.telemetry.track import TELEMETRY_FILE, write_positions
 from track_range.results.columns import Columns
 from track_range.results.events.event import CLIPS_FOLDER, Event
 from track_range.results.events.files import EventFiles
 from track_range.results.progress_note import OPENING, PROCESSING, PROGRESS_FILE, ProgressNote
-from track_range.results.summary import write_summary
 from track_range.results.writers import OpenWriters, create_writers, result_names
 from track_range.run.pictures import pictures
 from track_range.run.session import RunSession
@@ -199,7 +205,7 @@ class RunOutput:
             steps.append(partial(write_clips, overlay, rows.events, clips, starts_s=rows.starts_s))
             self.files += (clips,) if rows.events else ()
         steps += [
-            partial(write_summary, folder / "summary.json", summary),
+            partial(write_json, folder / "summary.json", summary),
             partial(write_report, folder / "report.html", report, columns, rows.events, clips=clips),
             partial(self._writers.close, summary),
         ]

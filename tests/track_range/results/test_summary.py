@@ -4,9 +4,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from track_range.foundation.files.output_files import write_json
 from track_range.ranging.evaluation.truth import Truth
 from track_range.results.columns import column_names
-from track_range.results.summary import matched_truth, range_scores, stage_times_ms, track_scores, write_summary
+from track_range.results.summary import matched_truth, range_scores, stage_times_ms, track_scores
 
 BOX = np.array([10.0, 10.0, 40.0, 40.0])
 
@@ -98,10 +99,10 @@ def test_unlabelled_classes_are_no_false_positives():
 def test_times_and_the_file(tmp_path):
     assert stage_times_ms({"read": 1.0}, 500) == {"read": 2.0}
     assert stage_times_ms({"read": 0.0}, 0) == {"read": 0.0}
-    write_summary(tmp_path / "summary.json", {"a": None})
+    write_json(tmp_path / "summary.json", {"a": None})
     assert json.loads((tmp_path / "summary.json").read_text()) == {"a": None}
     with pytest.raises(ValueError, match="not JSON compliant"):
-        write_summary(tmp_path / "summary.json", {"a": float("nan")})
+        write_json(tmp_path / "summary.json", {"a": float("nan")})
 
 
 def test_truth_without_rows():

@@ -6,7 +6,6 @@ guesses of the focal length (focal_sources) -> boxes and horizon of parts of the
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Sequence
 from contextlib import closing
@@ -21,7 +20,7 @@ from track_range.calibration.settings import CalibrationSettings
 from track_range.detection.boxes import iou
 from track_range.detection.detections import Detections
 from track_range.foundation.errors import UsageError
-from track_range.foundation.files.output_files import check_outputs, write_text
+from track_range.foundation.files.output_files import check_outputs, write_json
 from track_range.foundation.progress import StepProgress, no_progress
 from track_range.ranging.fitting.camera.camera_fit import HEIGHT_M, HEIGHT_SIGMA, CameraFit, fit_camera
 from track_range.ranging.fitting.camera.focal_evidence import FocalPosterior, focal_posterior
@@ -82,10 +81,8 @@ class RoadCalibration:
         known = len({residual.name for residual in self.fit.residuals})
         comments = [f"track-range calibrate: from the road, {known} measurements, no lens distortion"]
         save_camera(self.fit.camera, settings.out, comments=comments, mounting=self.mounting)
-        if settings.json_file is None:
-            return [settings.out]
-        write_text(settings.json_file, json.dumps(self.figures, indent=2, allow_nan=False) + "\n")
-        return [settings.out, settings.json_file]
+        write_json(settings.json_file, self.figures)
+        return [file for file in (settings.out, settings.json_file) if file is not None]
 
     @property
     def figures(self) -> dict[str, Any]:

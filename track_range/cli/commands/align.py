@@ -26,8 +26,7 @@ def _check(settings: RigCheckSettings) -> None:
 
 def _print(alignment: RigAlignment) -> None:
     print_grid(console, rig_grid(alignment.health.to_dict()))
-    for sentence in alignment.sentences:
-        print_line(console, sentence)
+    print_line(console, *alignment.sentences)
 
 
 app = command(AlignmentSettings, _align)

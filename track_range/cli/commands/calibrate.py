@@ -29,10 +29,8 @@ def _calibrate(settings: CalibrationSettings) -> None:
         return
     progress = partial(step_progress, console)
     search = find_boards(settings, progress)
-    for note in search.notes:
-        print_line(console, note)
     unit = "pairs" if search.shots and len(search.shots[0]) == 2 else "images"
-    print_line(console, f"Board found in {len(search.shots)} of {search.n_images} {unit}.")
+    print_line(console, *search.notes, f"Board found in {len(search.shots)} of {search.n_images} {unit}.")
     _print_rejected(search.rejected)
     calibration = calibrate_views(search, settings, progress)
     _print_rejected(calibration.result.rejected)
@@ -40,9 +38,8 @@ def _calibrate(settings: CalibrationSettings) -> None:
     _print_cameras(calibration.cameras)
     if isinstance(calibration.result, PairCalibration):
         _print_pair(calibration.result)
-    print_line(console, "± = standard deviation (jackknife over views).")
-    for warning in calibration.warnings:
-        print_line(console, f"Warning: {warning}")
+    warnings = (f"Warning: {warning}" for warning in calibration.warnings)
+    print_line(console, "± = standard deviation (jackknife over views).", *warnings)
     print_line(console, f"Written: {', '.join(map(str, calibration.save(settings)))}.")
 
 
@@ -89,8 +86,7 @@ def _calibrate_on_road(settings: CalibrationSettings) -> None:
         ]
         names = [f"{residual.name}: {residual.kind}, {residual.unit}" for residual in residuals]
         print_grid(console, grid_of("Residuals", "measurement", names, columns))
-    for sentence in calibration.sentences:
-        print_line(console, sentence)
+    print_line(console, *calibration.sentences)
     print_line(console, f"Written: {', '.join(map(str, calibration.save(settings)))}.")
 
 
@@ -124,28 +120,28 @@ def _print_cameras(cameras: Mapping[str, CameraCalibration]) -> None:
         lens = ", ".join(f"{term:.4g}" for term in camera.distortion) or "none"
         model = f" of the lens model {camera.lens}" if camera.is_wide else ""
         margin = " " * len(name)
-        for line in (
+        print_line(
+            console,
             f"{name}: fx {camera.fx_px:.2f} ± {std.fx_px:.2f}, fy {camera.fy_px:.2f} ± {std.fy_px:.2f}, "
             f"cx {camera.cx_px:.2f} ± {std.cx_px:.2f}, cy {camera.cy_px:.2f} ± {std.cy_px:.2f} px; "
             f"residual {calibration.rms_px:.3f} px RMS over {len(calibration.fits)} views.",
             f"{margin}  distortion coefficients{model} {lens}.",
             f"{margin}  coverage: corners at {width} of the width and {height} of the height, boards {sizes} of the "
             f"image side, tilts {coverage.tilt_range_deg[0]:.0f} to {coverage.tilt_range_deg[1]:.0f} degrees.",
-        ):
-            print_line(console, line)
+        )
 
 
 def _print_pair(pair: PairCalibration) -> None:
     left_px, right_px = pair.single_rms_px
-    for line in (
+    print_line(
+        console,
         f"baseline {1000 * pair.rig.baseline_m:.2f} ± {1000 * pair.baseline_std_m:.2f} mm, given the size of the "
         f"squares; residual {pair.rms_px:.3f} px RMS over {len(pair.fits)} pairs.",
         f"Residuals of the cameras calibrated alone: left {left_px:.3f}, right {right_px:.3f} px RMS; a larger one of "
         "the pairs is due to boards that moved between their images.",
         f"Vertical offset after rectification: {pair.row_error_px:.3f} px on average, "
         f"{pair.held_out_row_error_px:.3f} px in pairs held out of the fit.",
-    ):
-        print_line(console, line)
+    )
 
 
 app = command(CalibrationSettings, _calibrate)

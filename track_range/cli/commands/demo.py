@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
-
-import numpy as np
-import numpy.typing as npt
 
 from track_range.cli.commands.run import run_and_print
 from track_range.cli.console import console, print_grid, print_line
@@ -27,7 +24,11 @@ if TYPE_CHECKING:
 
     from track_range.run.run import Run
 
-_COLUMNS = ("time_s", "track_id", "class", "observed", "fused_kf_m", "closing_mps", "ttc_s")
+_EXTREMES = (  # heading, column and aggregate of the rows of a class
+    ("nearest m", "fused_kf_m", "min"),
+    ("fastest closing m/s", "closing_mps", "max"),
+    ("shortest TTC s", "ttc_s", "min"),
+)
 
 SCENARIO = "crossing"  # the camera's car stops for people and a cyclist, who stay visible for several seconds
 
@@ -68,7 +69,8 @@ def _print_screen(run: Run, console: Console) -> None:
     """Print one screen: the tracks of each class, the accuracy, the files, and what to try next."""
     n_frames, folder = run.summary["frames"], run.settings.out
     print_grid(console, track_grid(run.to_arrow()))
-    for line in (
+    print_line(
+        console,
         f"Accuracy against the simulation's exact truth, {n_frames} frames:",
         *(f"  {name:<14} {text}" for name, text in accuracy_lines(run.summary)),
         "",
@@ -79,8 +81,7 @@ def _print_screen(run: Run, console: Console) -> None:
         "Your own video (--help explains the options):",
         "  track-range --mono dashcam.mp4 --focal-px 1150",
         "  track-range --stereo left.mp4 right.mp4 --rig rig.yaml",
-    ):
-        print_line(console, line)
+    )
 
 
 def track_grid(rows: pa.Table) -> Grid:
@@ -88,28 +89,20 @@ def track_grid(rows: pa.Table) -> Grid:
 
     Predicted boxes, which no detection confirmed, are left out.
     """
-    columns = {name: np.array(rows[name].to_pylist(), object) for name in _COLUMNS}
-    is_observed = columns["observed"].astype(np.bool_)
-    classes = sorted(set(columns["class"].tolist()), key=ROAD_CLASSES.index)
-    rows_of_classes = []
-    for name in classes:
-        chosen = {key: column[(columns["class"] == name) & is_observed] for key, column in columns.items()}
-        times_s = [chosen["time_s"][chosen["track_id"] == track_id] for track_id in set(chosen["track_id"].tolist())]
-        rows_of_classes.append(
-            (
-                float(len(times_s)),
-                max((float(one.max() - one.min()) for one in times_s), default=None),
-                _extreme(chosen["fused_kf_m"], min),
-                _extreme(chosen["closing_mps"], max),
-                _extreme(chosen["ttc_s"], min),
-            )
-        )
-    heads = ("tracks", "longest s", "nearest m", "fastest closing m/s", "shortest TTC s")
-    shown = [
-        Column(head, [row[k] for row in rows_of_classes], "{:.0f}" if head == "tracks" else "{:.1f}")
-        for k, head in enumerate(heads)
+    if not len(rows):
+        return grid_of("Tracks found", "class", [], [])
+    observed = rows.filter(rows["observed"])
+    tracks = observed.group_by(["class", "track_id"]).aggregate([("time_s", "min"), ("time_s", "max")]).to_pylist()
+    classes = observed.group_by("class").aggregate([(name, kind) for _, name, kind in _EXTREMES]).to_pylist()
+    classes.sort(key=lambda row: ROAD_CLASSES.index(row["class"]))
+    names = [row["class"] for row in classes]
+    lengths_s = [[one["time_s_max"] - one["time_s_min"] for one in tracks if one["class"] == name] for name in names]
+    columns = [
+        Column("tracks", [float(len(one)) for one in lengths_s], "{:.0f}"),
+        Column("longest s", [max(one) for one in lengths_s]),
+        *(Column(head, [row[f"{name}_{kind}"] for row in classes]) for head, name, kind in _EXTREMES),
     ]
-    return grid_of("Tracks found", "class", classes, shown)
+    return grid_of("Tracks found", "class", names, columns)
 
 
 def accuracy_lines(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
@@ -126,12 +119,6 @@ def accuracy_lines(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         f"IDF1 {_text(tracks, 'idf1', 0)} %, MOTA {_text(tracks, 'mota', 0)} %, "
         f"{_text(tracks, 'idsw', 0)} identity switches",
     )
-
-
-def _extreme(values: npt.NDArray[np.object_], choose: Callable[[list[float]], float]) -> float | None:
-    """The smallest or largest value that was measured; None = no value was measured."""
-    measured = [float(value) for value in values.tolist() if value is not None]
-    return choose(measured) if measured else None
 
 
 def _text(figures: Mapping[str, Any], key: str, decimals: int = 1) -> str:

@@ -50,9 +50,7 @@ def _doctor(options: DoctorOptions) -> None:
         print_line(console, json.dumps({"ok": not failures, **groups}, indent=2))
     else:
         for title, rows in groups.items():
-            print_line(console, title.capitalize())
-            for name, value in rows.items():
-                print_line(console, f"  {name:<24}{value}")
+            print_line(console, title.capitalize(), *(f"  {name:<24}{value}" for name, value in rows.items()))
     if failures:
         raise DoctorError(f"doctor: {len(failures)} of {len(checks)} checks failed: {'; '.join(failures)}")
 

@@ -114,8 +114,7 @@ def _fit(settings: FitOptions) -> None:
         _fit_detector_boxes(settings)
         return
     fitted = fit_sizes(settings)
-    for curves in fitted.comparison.values():
-        print_grid(console, _comparison_grid(curves))
+    print_grid(console, *map(_comparison_grid, fitted.comparison.values()))
     if settings.picture is not None:
         from track_range.views.report.figures import curve_picture  # imports matplotlib: a third of a second
 
@@ -132,14 +131,15 @@ def _fit(settings: FitOptions) -> None:
 
 
 def _comparison_grid(fits: Sequence[CurveFit]) -> tables.Grid:
-    """Table of the curves of one class, a row per curve."""
     columns = [
         tables.Column("residual m2", [fit.residual_m2 for fit in fits], "{:.0f}", cost=abs),
         tables.Column("fitted %", [fit.fitted_error_pct for fit in fits], "{:.2f}", cost=abs),
         tables.Column("other sequences %", _known([fit.other_drives_error_pct for fit in fits]), "{:.2f}", cost=abs),
     ]
-    for k, true_m in enumerate(TABLE_DISTANCES_M):
-        columns.append(tables.Column(f"at {true_m:g} m", _known([fit.at_m[k] for fit in fits])))
+    columns += [
+        tables.Column(f"at {true_m:g} m", _known([fit.at_m[k] for fit in fits]))
+        for k, true_m in enumerate(TABLE_DISTANCES_M)
+    ]
     title = f"{fits[0].class_name}: {fits[0].n} boxes"
     return tables.grid_of(title, "curve", [fit.curve for fit in fits], columns)
 
@@ -149,7 +149,6 @@ def _known(values: Sequence[float]) -> list[float | None]:
 
 
 def _model_grid(name: str, model: StoredSizeModel) -> tables.Grid:
-    """Table of a fitted model, a row per class."""
     if isinstance(model, CuboidSizes):
         priors = list(model.priors.values())
         columns = [

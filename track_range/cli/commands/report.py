@@ -33,10 +33,8 @@ class ReportOptions(Options):
 
 def _report(options: ReportOptions) -> None:
     written = report(options.folders, options.out, has_clips=options.clips)
-    for sentence in written.missing:
-        print_line(console, sentence)
-    for grid in written.grids:
-        print_grid(console, grid)
+    print_line(console, *written.missing)
+    print_grid(console, *written.grids)
     print_notes(console, written.notes)
     others = "; the report.html of each run was rewritten" if len(set(options.folders)) > 1 else ""
     if options.clips:

@@ -80,10 +80,8 @@ def _convert(options: ConvertOptions) -> None:
                 "OUT does not store the uncertainty of the focal length and the camera height: "
                 f"use --rig {source.name}."
             )
-    for note in notes:
-        print_line(console, note)
     cameras = "two cameras" if isinstance(calibration, StereoRig) else "one camera"
-    print_line(console, f"Written: {out}, {cameras}.")
+    print_line(console, *notes, f"Written: {out}, {cameras}.")
 
 
 def _show(options: ShowOptions) -> None:
@@ -100,8 +98,7 @@ def _show(options: ShowOptions) -> None:
         print_line(console, f"{name}: distortion coefficients{model} {terms}.")
     if isinstance(calibration, StereoRig):
         _show_pair(calibration, options.source)
-    for note in notes:
-        print_line(console, note)
+    print_line(console, *notes)
 
 
 def _camera_columns(cameras: list[PinholeCamera]) -> list[Column]:
@@ -154,7 +151,7 @@ def _size_of(text: str | None) -> tuple[int, int] | None:
     sides = text.lower().split("x")
     if len(sides) != 2 or not all(side.isdecimal() and int(side) for side in sides):
         raise UsageError(f"--size {text}: expected WIDTHxHEIGHT, such as 1242x375.")
-    width_px, height_px = (int(side) for side in sides)
+    width_px, height_px = map(int, sides)
     if max(width_px, height_px) > _MAX_SIDE_PX:
         raise UsageError(f"--size {text}: expected sides of at most {_MAX_SIDE_PX} px.")
     return width_px, height_px

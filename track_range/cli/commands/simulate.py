@@ -17,18 +17,15 @@ def _simulate(settings: SimulationSettings) -> None:
     # the frames of a drive are rendered in several threads, with which OpenCV's would compete
     with one_opencv_thread() if settings.images is None else nullcontext():
         simulated = simulate(settings, partial(step_progress, console))
-    for note in simulated.notes:
-        print_line(console, note)
+    print_line(console, *simulated.notes)
     drive = simulated.drive
     if drive is None:
         print_line(console, f"Written: {simulated.n_images} images, and {simulated.data_yaml}")
         return
     fps = settings.fps or DEFAULT_FPS
     rate = f" --folder-fps {fps:g}" if drive.left.suffix != ".mp4" and fps != DEFAULT_FPS else ""
-    print_line(console, f"Written: {settings.out}. To process it:")
-    print_line(
-        console, f"  track-range --stereo {drive.left} {drive.right} --rig {drive.rig} --truth {drive.table}{rate}"
-    )
+    command = f"track-range --stereo {drive.left} {drive.right} --rig {drive.rig} --truth {drive.table}{rate}"
+    print_line(console, f"Written: {settings.out}. To process it:", f"  {command}")
 
 
 app = command(SimulationSettings, _simulate)

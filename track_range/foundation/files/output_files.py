@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from track_range.foundation.errors import UserError
 from track_range.foundation.files import atomic_files
@@ -20,6 +22,12 @@ class OutputError(UserError):
 def write_text(path: Path, text: str) -> None:
     """Write a text file atomically, in UTF-8; raises OutputError if it cannot be written."""
     write_bytes(path, text.encode("utf-8"))
+
+
+def write_json(path: Path | None, content: Mapping[str, Any], *, allow_nan: bool = False) -> None:
+    """Write a JSON file, as `write_text`, if one is given; raises ValueError for NaN, which is not valid JSON."""
+    if path is not None:
+        write_text(path, json.dumps(content, indent=2, allow_nan=allow_nan) + "\n")
 
 
 def write_bytes(path: Path, content: bytes) -> None:

@@ -102,9 +102,9 @@ def from_normal(expected: float) -> Cost:
     return lambda value: abs(value - expected)
 
 
-METHOD_COLUMNS: tuple[tuple[str, str, str, float, Cost | None], ...] = (
+METHOD_COLUMNS: tuple[ColumnSpec, ...] = (
     ("coverage %", "coverage", "{:.0f}", 100.0, largest),
-    ("n", "n", "{:.0f}", 1.0, None),
+    ("n", "n", "{:.0f}"),
     ("mean %", "mean_relative_error_pct", "{:.1f}", 1.0, abs),
     ("median %", "median_relative_error_pct", "{:.1f}", 1.0, abs),
     ("bias %", "bias_pct", "{:+.1f}", 1.0, abs),
@@ -181,20 +181,17 @@ def _distance_grids(summary: Summary, *, has_errors: bool) -> tuple[Grid, Grid]:
     return method_grid(title, summary.get("methods") or {}), method_grid(common_title, common)
 
 
-def method_grid(title: str, methods: Mapping[str, Mapping[str, Any]]) -> Grid:
-    """One row per method: coverage, errors, calibration of sigma, mean error by distance band."""
+def method_grid(
+    title: str, methods: Mapping[str, Mapping[str, Any]], specs: Sequence[ColumnSpec] = METHOD_COLUMNS
+) -> Grid:
+    """One row per method: the columns `specs`, and the mean error in each distance band that a method has."""
     rows = list(methods.values())
-    columns = columns_of(rows, METHOD_COLUMNS)
-    for low_m, high_m in sorted({(band["from_m"], band["to_m"]) for row in rows for band in row.get("bands") or []}):
-        errors_pct = [band_error_pct(row, (low_m, high_m)) for row in rows]
+    columns = columns_of(rows, specs)
+    bands = [{(band["from_m"], band["to_m"]): band for band in row.get("bands") or []} for row in rows]
+    for low_m, high_m in sorted({limits_m for by_limits in bands for limits_m in by_limits}):
+        errors_pct = [figure(one.get((low_m, high_m), {}), "mean_relative_error_pct") for one in bands]
         columns.append(Column(f"{low_m:g}-{high_m:g} m", errors_pct, cost=abs))
     return grid_of(title, "method", list(methods), columns)
-
-
-def band_error_pct(row: Mapping[str, Any], limits_m: tuple[float, float]) -> float | None:
-    """Mean relative error of a method in one distance band, in per cent; None where it measured nothing."""
-    bands = [band for band in row.get("bands") or [] if (band["from_m"], band["to_m"]) == limits_m]
-    return figure(bands[0], "mean_relative_error_pct") if bands else None
 
 
 def class_grid(methods: Mapping[str, Mapping[str, Any]]) -> Grid:

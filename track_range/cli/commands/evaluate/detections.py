@@ -9,13 +9,14 @@ from typing import Annotated, Any
 
 import typer
 
-from track_range.cli.commands.evaluate.result_files import JsonField, check_result_files, write_json
+from track_range.cli.commands.evaluate.result_files import JsonField, check_result_files
 from track_range.cli.console import console, print_grid, print_line
 from track_range.cli.parameters import command
 from track_range.detection.evaluation.matching import SizeMeasure
 from track_range.evaluation.sequences.detector_evaluation import evaluate_source, open_candidates
 from track_range.evaluation.sequences.labelled_images import LabelledSource
 from track_range.evaluation.sequences.settings import DetectionEvaluationSettings
+from track_range.foundation.files.output_files import write_json
 from track_range.foundation.options import option
 from track_range.run.options.opened import DetectorOptions
 from track_range.run.progress import frame_progress
@@ -51,7 +52,7 @@ def _detections(options: DetectionsOptions) -> None:
         min_height_px=options.min_height,
     )
     print_figures(figures, measure=options.by)
-    write_json(figures, options.json_file, allow_nan=True)
+    write_json(options.json_file, figures, allow_nan=True)
     if options.figure is not None:
         from track_range.views.report.figures import reliability_chart  # imports matplotlib: a third of a second
 
@@ -63,8 +64,7 @@ def _detections(options: DetectionsOptions) -> None:
 def print_figures(figures: dict[str, Any], *, measure: SizeMeasure | None = None) -> None:
     """Print the tables and notes of an evaluation of detectors; those by size and of calibration with a `measure`."""
     details = [] if measure is None else [*size_grids(figures, measure), *calibration_grids(figures)]
-    for grid in (accuracy_grid(figures), class_grid(figures), *details, speed_grid(figures)):
-        print_grid(console, grid)
+    print_grid(console, accuracy_grid(figures), class_grid(figures), *details, speed_grid(figures))
     for note in figures["notes"]:
         console.print(f"- {note}", style="dim", highlight=False, markup=False)
 

@@ -6,21 +6,16 @@ from collections.abc import Mapping
 from statistics import median
 from typing import Any
 
-from track_range.cli.commands.evaluate.result_files import (
-    ColumnSpec,
-    JsonField,
-    check_result_files,
-    metric_columns,
-    write_json,
-)
+from track_range.cli.commands.evaluate.result_files import JsonField, check_result_files
 from track_range.cli.console import console, print_grid, print_notes
 from track_range.cli.parameters import command
 from track_range.evaluation.events.evaluate import evaluate_events
 from track_range.evaluation.events.settings import EventEvaluationSettings
-from track_range.views.report.tables import Cell, Column, Grid, grid_of
+from track_range.foundation.files.output_files import write_json
+from track_range.views.report.tables import NOTHING, Cell, Column, ColumnSpec, Grid, columns_of, grid_of
 
 _CLOSING_COLUMNS: tuple[ColumnSpec, ...] = (
-    ("n", "n", "{:.0f}", 1.0, None),
+    ("n", "n", "{:.0f}"),
     ("median m/s", "median_error_mps", "{:.2f}", 1.0, abs),
     ("mean m/s", "mean_error_mps", "{:.2f}", 1.0, abs),
     ("bias m/s", "bias_mps", "{:+.2f}", 1.0, abs),
@@ -37,10 +32,9 @@ def _events(options: EventsOptions) -> None:
     check_result_files(options)
     figures = evaluate_events(options)
     print_notes(console, figures["notes"])
-    for grid in (_score_grid(figures), _contact_grid(figures), _closing_grid(figures)):
-        if grid.rows:
-            print_grid(console, grid)
-    write_json(figures, options.json_file)
+    grids = (_score_grid(figures), _contact_grid(figures), _closing_grid(figures))
+    print_grid(console, *(grid for grid in grids if grid.rows))
+    write_json(options.json_file, figures)
 
 
 def _score_grid(figures: Mapping[str, Any]) -> Grid:
@@ -61,24 +55,18 @@ def _score_grid(figures: Mapping[str, Any]) -> Grid:
 
 
 def _contact_grid(figures: Mapping[str, Any]) -> Grid:
-    rows = figures.get("contacts", [])
     lines = []
-    for row in rows:
-        lead = "-" if row["lead_s"] is None else f"{row['lead_s']:.2f}"
-        texts = (
-            str(row["object_id"]),
-            row["class"],
-            f"{row['contact_s']:.2f}",
-            "hit" if row["is_hit"] else "miss",
-            lead,
-        )
+    for row in figures.get("contacts", []):
+        lead = NOTHING if row["lead_s"] is None else f"{row['lead_s']:.2f}"
+        outcome = "hit" if row["is_hit"] else "miss"
+        texts = (str(row["object_id"]), row["class"], f"{row['contact_s']:.2f}", outcome, lead)
         lines.append(tuple(map(Cell, texts)))
     return Grid("Contacts", ("object", "class", "at s", "", "lead s"), tuple(lines))
 
 
 def _closing_grid(figures: Mapping[str, Any]) -> Grid:
     sections = figures.get("closing", {})
-    columns = metric_columns(sections, _CLOSING_COLUMNS)
+    columns = columns_of(sections.values(), _CLOSING_COLUMNS)
     return grid_of("Error of the closing speed at 10-40 m", "class", list(sections), columns)
 
 

@@ -7,18 +7,15 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from track_range.cli.commands.evaluate.result_files import (
-    ColumnSpec,
     JsonField,
     RiskFigureField,
     check_result_files,
     draw_risk,
-    metric_columns,
     risk_grids,
-    write_json,
 )
-from track_range.cli.console import console, print_grid, print_line, print_notes
+from track_range.cli.console import console, print_grid, print_notes
 from track_range.cli.parameters import command
-from track_range.foundation.files.output_files import write_text
+from track_range.foundation.files.output_files import write_json, write_text
 from track_range.foundation.options import option
 from track_range.ranging.evaluation.labelled_ranges import evaluate_ranges
 from track_range.ranging.evaluation.settings import RangeEvaluationSettings
@@ -38,21 +35,18 @@ def _ranges(options: RangesOptions) -> None:
     figures = evaluate_ranges(options)
     curves = _curves(figures)
     grids = [*_grids(figures), *_literature_grids(figures), *(risk_grids(curves) if curves else ())]
-    for grid in grids:
-        print_grid(console, grid)
+    print_grid(console, *grids)
     print_notes(console, figures["notes"])
-    if options.figure is not None:
-        draw_risk(curves, options.figure)
-        print_line(console, f"Written: {options.figure}")
-    write_json(figures, options.json_file)
+    draw_risk(curves, options.figure)
+    write_json(options.json_file, figures)
     if options.table is not None:
         notes = "\n".join(f"- {note}" for note in figures["notes"])
         write_text(options.table, "\n\n".join([*map(tables.markdown_table, grids), notes]) + "\n")
 
 
-_COLUMNS: tuple[ColumnSpec, ...] = (
-    ("coverage %", "coverage", "{:.0f}", 100.0, None),
-    ("n", "n", "{:.0f}", 1.0, None),
+_COLUMNS: tuple[tables.ColumnSpec, ...] = (
+    ("coverage %", "coverage", "{:.0f}", 100.0),
+    ("n", "n", "{:.0f}"),
     ("mean %", "mean_relative_error_pct", "{:.2f}", 1.0, abs),
     ("median %", "median_relative_error_pct", "{:.2f}", 1.0, abs),
     ("bias %", "bias_pct", "{:+.2f}", 1.0, abs),
@@ -70,54 +64,42 @@ def _grids(figures: Mapping[str, Any]) -> list[tables.Grid]:
     """A table per class with a row per method."""
     methods: Mapping[str, Mapping[str, Any]] = figures["methods"]
     kinds = dict.fromkeys(kind for row in methods.values() for kind in row)
-    return [_grid(kind, {name: row[kind] for name, row in methods.items() if kind in row}) for kind in kinds]
+    grids = []
+    for kind in kinds:
+        rows = {name: row[kind] for name, row in methods.items() if kind in row}
+        n_tracks = max(int(row["n_tracks"]) for row in rows.values())
+        grids.append(tables.method_grid(f"{kind}: {n_tracks} tracks", rows, _COLUMNS))
+    return grids
 
 
-def _grid(kind: str, rows: Mapping[str, Mapping[str, Any]]) -> tables.Grid:
-    columns = metric_columns(rows, _COLUMNS)
-    bands = [(band["from_m"], band["to_m"]) for band in next(iter(rows.values()))["bands"]]
-    columns += [
-        tables.Column(
-            f"{low:g}-{high:g} m", [tables.band_error_pct(row, (low, high)) for row in rows.values()], cost=abs
-        )
-        for low, high in bands
-    ]
-    n_tracks = max(int(row["n_tracks"]) for row in rows.values())
-    return tables.grid_of(f"{kind}: {n_tracks} tracks", "method", list(rows), columns)
-
-
-_LITERATURE: tuple[ColumnSpec, ...] = (
-    ("n", "n", "{:.0f}", 1.0, None),
-    ("coverage %", "coverage", "{:.1f}", 100.0, None),
+_LITERATURE: tuple[tables.ColumnSpec, ...] = (  # metrics of published evaluations
+    ("n", "n", "{:.0f}"),
+    ("coverage %", "coverage", "{:.1f}", 100.0),
     ("abs rel %", "abs_rel", "{:.2f}", 100.0, abs),
     ("sq rel m", "sq_rel_m", "{:.3f}", 1.0, abs),
     ("RMSE m", "rmse_m", "{:.2f}", 1.0, abs),
     ("RMSE log", "rmse_log", "{:.3f}", 1.0, abs),
-    ("< 1.25 %", "delta_1_25", "{:.1f}", 100.0, lambda value: -value),
-    ("< 1.25^2 %", "delta_1_25_2", "{:.1f}", 100.0, lambda value: -value),
+    ("< 1.25 %", "delta_1_25", "{:.1f}", 100.0, tables.largest),
+    ("< 1.25^2 %", "delta_1_25_2", "{:.1f}", 100.0, tables.largest),
 )
-"""Columns of the metrics of published evaluations, as in `_COLUMNS`."""
 
 
 def _literature_grids(figures: Mapping[str, Any]) -> list[tables.Grid]:
-    """A table per class, and one over all classes, of the metrics of published evaluations over all distances.
+    """A table per class, and one over all classes, if frames, objects or distances are those of published evaluations.
 
-    They are printed for frames, objects or distances as of published evaluations; the JSON file always has them.
+    The JSON file always has these metrics.
     """
     is_published = figures["frames"] is not None or figures["objects"] != "visible" or figures["truth"] != "surface"
     by_method: Mapping[str, Mapping[str, Any]] = figures["literature"] if is_published else {}
-    grids: list[tables.Grid] = []
-    if not by_method:
-        return grids
-    for kind in next(iter(by_method.values())):
-        rows = {name: row[kind] for name, row in by_method.items()}
+    grids = []
+    for kind in next(iter(by_method.values()), {}):
+        columns = tables.columns_of((row[kind] for row in by_method.values()), _LITERATURE)
         title = f"{kind}, all distances, truth: {figures['truth']}"
-        grids.append(tables.grid_of(title, "method", list(rows), metric_columns(rows, _LITERATURE)))
+        grids.append(tables.grid_of(title, "method", list(by_method), columns))
     return grids
 
 
 def _curves(figures: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
-    """Risk-coverage curves by method and class."""
     return {
         f"{method}, {kind}": curve
         for method, by_class in figures["risk_coverage"].items()

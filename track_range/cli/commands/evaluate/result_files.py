@@ -1,15 +1,15 @@
-"""Result files of evaluations, which are checked before one, columns of metrics, and risk-coverage tables."""
+"""Result files of evaluations, which are checked before one, and risk-coverage tables."""
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
+from track_range.cli.console import console, print_line
 from track_range.foundation.errors import UsageError
-from track_range.foundation.files.output_files import OutputError, write_text
+from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.options import option
 from track_range.views.report import tables
 
@@ -24,12 +24,6 @@ _OUTPUTS = {"json_file": "--json", "table": "--table", "figure": "--figure", "ou
 _INPUT_FLAGS = {"models": "--model"}  # options that name inputs, by field, if the name of the field differs
 
 CHART_SUFFIXES = (".svg", ".png")  # accepted endings of a chart's file name
-
-
-def write_json(figures: Mapping[str, Any], path: Path | None, *, allow_nan: bool = False) -> None:
-    """Write the results as JSON if a file is given."""
-    if path is not None:
-        write_text(path, json.dumps(figures, indent=2, allow_nan=allow_nan) + "\n")
 
 
 def check_result_files(options: Any) -> None:
@@ -86,29 +80,18 @@ def _is_replaced(file: Path) -> bool:
     return file.is_file() or not file.exists()
 
 
-# -- metrics ---------------------------------------------------------------------------------------------------------
-
-ColumnSpec = tuple[str, str, str, float, tables.Cost | None]
-"""Heading, key in a row of metrics, format, scale and cost of a column, as in `tables.METHOD_COLUMNS`."""
-
 ANSWERED_PCT = (100, 95, 90, 80, 50)  # answered fractions of the boxes in the risk-coverage tables, per cent
 
 _Curves = Mapping[str, Mapping[str, Any]]
 
 
-def metric_columns(rows: _Curves, specs: Sequence[ColumnSpec]) -> list[tables.Column]:
-    """Columns of rows of metrics by name."""
-    return [
-        tables.Column(heading, [tables.figure(row, key) for row in rows.values()], pattern, scale, cost)
-        for heading, key, pattern, scale, cost in specs
-    ]
+def draw_risk(curves: _Curves, path: Path | None) -> None:
+    """Draw curves by name, if a file is given."""
+    if path is not None:
+        from track_range.views.report.figures import risk_coverage_chart  # imports matplotlib: a third of a second
 
-
-def draw_risk(curves: _Curves, path: Path) -> None:
-    """Draw curves by name."""
-    from track_range.views.report.figures import risk_coverage_chart  # imports matplotlib: a third of a second
-
-    risk_coverage_chart({name: curve["curve"] for name, curve in curves.items()}, path)
+        risk_coverage_chart({name: curve["curve"] for name, curve in curves.items()}, path)
+        print_line(console, f"Written: {path}")
 
 
 def risk_grids(curves: _Curves) -> list[tables.Grid]:
@@ -119,14 +102,12 @@ def risk_grids(curves: _Curves) -> list[tables.Grid]:
         ("Mean error (%) of the answered boxes", "mean_relative_error_pct", "area_error_pct"),
         ("95th percentile of the error (%) of the answered boxes", "p95_relative_error_pct", None),
     ):
-        columns = []
-        for fraction_pct in ANSWERED_PCT:
-            values = [_at(curve, fraction_pct, key) for curve in curves.values()]
-            columns.append(tables.Column(f"{fraction_pct} %", values, "{:.2f}", cost=abs))
+        columns = [
+            tables.Column(f"{pct} %", [_at(curve, pct, key) for curve in curves.values()], "{:.2f}", cost=abs)
+            for pct in ANSWERED_PCT
+        ]
         if area is not None:
-            columns.append(
-                tables.Column("area", [tables.figure(row, area) for row in curves.values()], "{:.2f}", cost=abs)
-            )
+            columns += tables.columns_of(curves.values(), [("area", area, "{:.2f}", 1.0, abs)])
         grids.append(tables.grid_of(title, "answered", list(curves), columns))
     return grids
 

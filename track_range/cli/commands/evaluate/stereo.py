@@ -8,18 +8,16 @@ from typing import Any
 
 from track_range.calibration.settings import StereoEvaluationSettings
 from track_range.cli.commands.evaluate.result_files import (
-    ColumnSpec,
     JsonField,
     RiskFigureField,
     check_result_files,
     draw_risk,
-    metric_columns,
     risk_grids,
-    write_json,
 )
 from track_range.cli.console import console, print_grid, print_line
 from track_range.cli.parameters import command
 from track_range.evaluation.stereo_evaluation import evaluate_stereo
+from track_range.foundation.files.output_files import write_json
 from track_range.foundation.processes import one_opencv_thread
 from track_range.run.progress import step_progress
 from track_range.views.report import tables
@@ -37,16 +35,14 @@ def _stereo(options: StereoOptions) -> None:
     with one_opencv_thread():  # for comparable times per frame
         figures = evaluate_stereo(options, partial(step_progress, console))
     _print(figures)
-    if options.figure is not None:
-        draw_risk(_curves(figures), options.figure)
-        print_line(console, f"Written: {options.figure}")
-    write_json(figures, options.json_file)
+    draw_risk(_curves(figures), options.figure)
+    write_json(options.json_file, figures)
 
 
 _Rows = Mapping[str, Mapping[str, Any]]
-_COLUMNS: tuple[ColumnSpec, ...] = (
-    ("coverage %", "coverage", "{:.1f}", 100.0, lambda value: -value),
-    ("n", "n", "{:.0f}", 1.0, None),
+_COLUMNS: tuple[tables.ColumnSpec, ...] = (
+    ("coverage %", "coverage", "{:.1f}", 100.0, tables.largest),
+    ("n", "n", "{:.0f}"),
     ("failed %", "failures_pct", "{:.1f}", 1.0, abs),
     ("median %", "median_relative_error_pct", "{:.2f}", 1.0, abs),
     ("mean %", "mean_relative_error_pct", "{:.2f}", 1.0, abs),
@@ -54,43 +50,36 @@ _COLUMNS: tuple[ColumnSpec, ...] = (
     ("bias %", "bias_pct", "{:+.2f}", 1.0, abs),
     ("error px", "median_abs_error_px", "{:.3f}", 1.0, abs),
 )
-_MORE_COLUMNS: tuple[ColumnSpec, ...] = (
+_MORE_COLUMNS: tuple[tables.ColumnSpec, ...] = (
     (tables.WITHIN_1_HEADING, "within_1_sigma", "{:.0f}", 100.0, tables.from_normal(tables.WITHIN_1_SIGMA)),
     (tables.WITHIN_2_HEADING, "within_2_sigma", "{:.0f}", 100.0, tables.from_normal(tables.WITHIN_2_SIGMA)),
     ("ms/frame", "ms_per_frame", "{:.1f}", 1.0, abs),
 )
-_INTERVALS = (
+_INTERVALS = (  # heading, key and format of each column
     ("failed %", "failures_pct", "{:.1f} .. {:.1f}"),
     ("median %", "median_relative_error_pct", "{:.2f} .. {:.2f}"),
     ("95 %", "p95_relative_error_pct", "{:.2f} .. {:.2f}"),
     ("bias %", "bias_pct", "{:+.2f} .. {:+.2f}"),
 )
-"""Heading, key and format of each column of intervals."""
 
 
 def _print(figures: Mapping[str, Any]) -> None:
     title = f"{figures['n_objects']} objects in {figures['n_pairs']} pairs, alignment {figures['align']}"
-    matchers = figures["matchers"]
-    print_grid(console, _grid(title, matchers, _COLUMNS))
-    print_grid(console, _more_grid(matchers))
-    print_grid(console, _interval_grid(matchers))
-    common = figures["common"]
+    matchers, common = figures["matchers"], figures["common"]
+    print_grid(console, _grid(title, matchers, _COLUMNS), _more_grid(matchers), _interval_grid(matchers))
     if common:
         n_common = next(iter(common.values()))["n"]
         title = f"On common coverage ({n_common} objects measured by all matchers)"
         print_grid(console, _grid(title, common, _COLUMNS[1:]))
-    for grid in risk_grids(_curves(figures)):
-        print_grid(console, grid)
-    for note in figures["notes"]:
-        print_line(console, note)
+    print_grid(console, *risk_grids(_curves(figures)))
+    print_line(console, *figures["notes"])
 
 
-def _grid(title: str, matchers: _Rows, specs: Sequence[ColumnSpec]) -> tables.Grid:
-    return tables.grid_of(title, "matcher", list(matchers), metric_columns(matchers, specs))
+def _grid(title: str, matchers: _Rows, specs: Sequence[tables.ColumnSpec]) -> tables.Grid:
+    return tables.grid_of(title, "matcher", list(matchers), tables.columns_of(matchers.values(), specs))
 
 
 def _more_grid(matchers: _Rows) -> tables.Grid:
-    """Median errors by distance band, calibration of sigma, and run time."""
     rows = list(matchers.values())
     columns = []
     for number, band in enumerate(rows[0]["bands"]):
@@ -98,7 +87,7 @@ def _more_grid(matchers: _Rows) -> tables.Grid:
         heading = f"{band['from_m']:g}-{band['to_m']:g} m (n={band['n']})"
         columns.append(tables.Column(heading, medians, "{:.2f}", cost=abs))
     title = "Median error (%) by true distance, calibration of sigma, run time"
-    return tables.grid_of(title, "matcher", list(matchers), [*columns, *metric_columns(matchers, _MORE_COLUMNS)])
+    return tables.grid_of(title, "matcher", list(matchers), [*columns, *tables.columns_of(rows, _MORE_COLUMNS)])
 
 
 def _curves(figures: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
@@ -112,7 +101,6 @@ def _curves(figures: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
 
 
 def _interval_grid(matchers: _Rows) -> tables.Grid:
-    """95 % bootstrap intervals of each matcher."""
     lines = []
     for name, row in matchers.items():
         ends = [(pattern, row["intervals"].get(key)) for _, key, pattern in _INTERVALS]

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
-from track_range.cli.commands.evaluate.result_files import JsonField, check_result_files, write_json
+from track_range.cli.commands.evaluate.result_files import JsonField, check_result_files
 from track_range.cli.console import console, print_grid, print_notes
 from track_range.cli.parameters import command
 from track_range.evaluation.sequences.evaluation import COUNTS, evaluate_tracks
 from track_range.evaluation.sequences.settings import TrackEvaluationSettings
+from track_range.foundation.files.output_files import write_json
 from track_range.tracking.evaluation.motmetrics_comparison import REASONS
-from track_range.views.report.tables import Column, Grid, figure, grid_of
+from track_range.views.report.tables import Column, Grid, columns_of, figure, grid_of
 
 _HEADS = "HOTA DetA AssA LocA MOTA MOTP IDF1 IDsw FP FN Frag MT ML".split()
 """Metrics shown, by their usual names; keys of the results in lower case."""
@@ -31,7 +32,7 @@ def _tracks(options: TracksOptions) -> None:
     print_grid(console, _grid(figures))
     if options.compare is not None:
         _print_comparison(figures)
-    write_json(figures, options.json_file)
+    write_json(options.json_file, figures)
 
 
 def _print_comparison(figures: Mapping[str, Any]) -> None:
@@ -58,14 +59,11 @@ def _is_same(value: float | None, other: float | None) -> bool:
 
 
 def _grid(figures: Mapping[str, Any]) -> Grid:
-    rows: Mapping[str, Mapping[str, Any]] = {**figures["sequences"], "combined": figures["combined"]}
-    if len(figures["sequences"]) == 1:
-        rows = figures["sequences"]
-    names: Sequence[str] = list(rows)
-    columns = [
-        Column(head, [figure(row, head.lower()) for row in rows.values()], _pattern(head.lower())) for head in _HEADS
-    ]
-    return grid_of(f"Tracks of class {figures['class']}", "sequence", names, columns)
+    rows: dict[str, Mapping[str, Any]] = dict(figures["sequences"])
+    if len(rows) > 1:
+        rows["combined"] = figures["combined"]
+    columns = columns_of(rows.values(), ((head, head.lower(), _pattern(head.lower())) for head in _HEADS))
+    return grid_of(f"Tracks of class {figures['class']}", "sequence", list(rows), columns)
 
 
 def _pattern(key: str) -> str:

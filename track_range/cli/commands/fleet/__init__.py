@@ -34,5 +34,5 @@ app = lazy_app(
                 "track-range fleet report s3://bucket/results --json fleet.json",
             ),
         ),
-    },
+    }
 )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -41,8 +40,7 @@ def _fleet_status(options: FleetStatusOptions) -> None:
     from track_range.fleet.storage.location import Location
     from track_range.foundation.files.input_files import printable
 
-    for line in status_lines(Location.of(options.out)):
-        print_line(console, printable(line))
+    print_line(console, *map(printable, status_lines(Location.of(options.out))))
 
 
 def _fleet_report(options: FleetReportOptions) -> None:
@@ -53,7 +51,7 @@ def _fleet_report(options: FleetReportOptions) -> None:
     from track_range.fleet.report.fleet_page import fleet_page
     from track_range.fleet.storage.location import Location
     from track_range.foundation.files.input_files import printable
-    from track_range.foundation.files.output_files import check_outputs, write_text
+    from track_range.foundation.files.output_files import check_outputs, write_json, write_text
     from track_range.run.progress import step_progress
     from track_range.views.report.tables import markdown_table
 
@@ -66,17 +64,13 @@ def _fleet_report(options: FleetReportOptions) -> None:
         fleet = fleet_figures(out, options.by, progress)
     figures = fleet.figures
     grids = [grid for section in fleet_sections(figures) for grid in section.grids]
-    print_line(console, printable(figures["state"]))
     clips, hours = figures["clips"], figures["video_h"]
-    print_line(
-        console, f"{clips['done']} of {clips['total']} clips done, {clips['failed']} failed, {hours:.2f} h of video"
-    )
+    done = f"{clips['done']} of {clips['total']} clips done, {clips['failed']} failed, {hours:.2f} h of video"
+    print_line(console, printable(figures["state"]), done)
     print_notes(console, figures["problems"])
     console.print()
-    for grid in grids:
-        print_grid(console, grid)
-    if options.json_file is not None:
-        write_text(options.json_file, json.dumps(figures, indent=2, allow_nan=False) + "\n")
+    print_grid(console, *grids)
+    write_json(options.json_file, figures)
     if options.table is not None:
         notes = "\n".join(f"- {note}" for note in figures["problems"])
         write_text(options.table, "\n\n".join([*map(markdown_table, grids), *([notes] if notes else [])]) + "\n")

@@ -41,11 +41,10 @@ def _fleet_run(**values: Any) -> None:
         return
     result = run_fleet(settings, options, clips, console=console)
     counts = result.counts
-    print_line(console, f"{counts.text()}; {counts.skipped} of them before, in {duration_text(result.wall_s)}")
-    print_line(console, f"Results in {settings.out}")
+    done = f"{counts.text()}; {counts.skipped} of them before, in {duration_text(result.wall_s)}"
+    print_line(console, done, f"Results in {settings.out}")
     if result.failed:
-        for name, error in result.failed[:_MAX_NAMED]:
-            print_line(console, printable(f"failed: {name}: {error}"))
+        print_line(console, *(printable(f"failed: {name}: {error}") for name, error in result.failed[:_MAX_NAMED]))
         named = ", ".join(shortened(name, _MAX_NAME) for name, _ in result.failed[:_MAX_NAMED])
         n_failed = len(result.failed)
         more = f" and {n_failed - _MAX_NAMED} more, see clips.parquet" if n_failed > _MAX_NAMED else ""
@@ -79,9 +78,8 @@ def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Sequenc
         line += "" if checked.fps is None else f" at {checked.fps:.3g} Hz"
         line += "" if checked.duration_s is None else f", {duration_text(checked.duration_s)}"
         line += f", calibration: {checked.calibration}" if checked.calibration else ""
-        print_line(console, printable(line))
-        for text in (*checked.problems, *checked.notes):
-            print_line(console, f"  - {printable(text)}")
+        texts = (f"  - {printable(text)}" for text in (*checked.problems, *checked.notes))
+        print_line(console, printable(line), *texts)
         problems += [(checked.clip.name, problem) for problem in checked.problems[:1]]
     print_line(
         console,

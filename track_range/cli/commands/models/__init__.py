@@ -46,5 +46,5 @@ app = lazy_app(
                 "      --labels val-labels/ --out road-calibrated.onnx",
             ),
         ),
-    },
+    }
 )

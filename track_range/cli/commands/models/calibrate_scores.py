@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -31,7 +30,7 @@ from track_range.detection.yolo.detector import YoloDetector
 from track_range.evaluation.sequences.labelled_images import LabelledSource
 from track_range.evaluation.sequences.settings import LabelFormatField, LabelNamesField, ManifestField, SplitField
 from track_range.foundation.files.input_files import counted
-from track_range.foundation.files.output_files import write_text
+from track_range.foundation.files.output_files import write_json
 from track_range.foundation.options import Options, option
 from track_range.run.options.detection import ThreadsField
 from track_range.run.options.opened import DetectorOptions, open_detector
@@ -92,8 +91,7 @@ def _calibrate_scores(options: CalibrateScoresOptions) -> None:
     write_calibrated_copy(detector, fit, options.out, images=options.images)
     before = reliability(samples.score, samples.is_match)
     after = cross_validated(detections, truth, detector.known_class_id)
-    print_grid(console, _coefficient_grid(fit, detector))
-    print_grid(console, _error_grid(before, after))
+    print_grid(console, _coefficient_grid(fit, detector), _error_grid(before, after))
     validation = (
         "Cross-validated: fitted to one half of the images, measured on the other one; the file has the fit to all."
         if after
@@ -109,14 +107,13 @@ def _calibrate_scores(options: CalibrateScoresOptions) -> None:
         ],
     )
     print_line(console, f"Written: {options.out}")
-    if options.json_file is not None:
-        figures = {
-            "n_images": len(truth),
-            "classes": fit.as_dict(),
-            "before": before.as_dict(),
-            "cross_validated": None if after is None else after.as_dict(),
-        }
-        write_text(options.json_file, json.dumps(figures, indent=2) + "\n")
+    figures = {
+        "n_images": len(truth),
+        "classes": fit.as_dict(),
+        "before": before.as_dict(),
+        "cross_validated": None if after is None else after.as_dict(),
+    }
+    write_json(options.json_file, figures, allow_nan=True)
 
 
 def _coefficient_grid(fit: ScoreFit, detector: YoloDetector) -> Grid:

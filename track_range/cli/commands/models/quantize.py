@@ -11,7 +11,6 @@ from typing import Annotated
 import typer
 
 from track_range.cli.commands.evaluate.detections import print_figures
-from track_range.cli.commands.evaluate.result_files import write_json
 from track_range.cli.console import console
 from track_range.cli.parameters import command
 from track_range.detection.formats.image_labels.image_truth import ImageTruth
@@ -28,7 +27,7 @@ from track_range.evaluation.sequences.detector_evaluation import WORKING_SCORE, 
 from track_range.evaluation.sequences.labelled_images import LabelledFrames, LabelledSource
 from track_range.evaluation.sequences.settings import LabelFormatField, LabelNamesField, ManifestField, SplitField
 from track_range.foundation.arrays import Image
-from track_range.foundation.files.output_files import make_folder
+from track_range.foundation.files.output_files import make_folder, write_json
 from track_range.foundation.options import Options, option
 from track_range.run.options.detection import AnchorsField, LetterboxField, NamesField, SizeField, ThreadsField
 from track_range.run.options.opened import DetectorOptions, open_detector
@@ -128,7 +127,7 @@ def _quantize(options: QuantizeOptions) -> None:
     figures["notes"].append(f"Accuracy is measured against {truth}, on images that were not used for calibration.")
     print_figures(figures)
     console.print(f"Written: {int8}, {fp16}", highlight=False, soft_wrap=True)
-    write_json(figures, options.json_file, allow_nan=True)
+    write_json(options.json_file, figures, allow_nan=True)
     raise typer.Exit(0 if figures["is_complete"] else 1)
 
 

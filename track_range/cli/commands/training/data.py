@@ -25,8 +25,7 @@ def print_anchors(options: AnchorOptions) -> None:
     """Print k-means++ anchors of the training boxes of a data set, their mean best IoU, and that of the defaults."""
     size_px, n_anchors = options.size_px, options.clusters
     data = read_data_yaml(options.data)
-    for note in data.notes:
-        print_line(console, note)
+    print_line(console, *data.notes)
     sizes = read_images(data.train, data, max_side_px=size_px).box_sizes_px(size_px)
     if not len(sizes):
         raise LabelFileError(f"{options.data}: expected labelled objects in the training images, found none.")

@@ -60,12 +60,14 @@ def _pseudo_label(options: PseudoLabelOptions) -> None:
         shutil.rmtree(stored, ignore_errors=True)
     print_first(console, f"{counted(len(unreadable), 'image')} cannot be read, left out:", list(unreadable.values()))
     _print_outcome(outcome, members)
-    print_line(console, f"Written: {options.out}. To train with these labels, write into {options.data}:")
     folder, root = real_path(options.out), real_path(data.root)
-    entry = os.path.relpath(folder, root) if root in folder.parents else str(folder)
-    print_line(console, f"labels_pseudo: {entry}")
-    print_line(console, "pseudo_scores: probabilities")
-    print_line(console, f"pseudo_names: [{', '.join(ROAD_CLASSES[i] for i in outcome.known_class_id)}]")
+    print_line(
+        console,
+        f"Written: {options.out}. To train with these labels, write into {options.data}:",
+        f"labels_pseudo: {os.path.relpath(folder, root) if root in folder.parents else folder}",
+        "pseudo_scores: probabilities",
+        f"pseudo_names: [{', '.join(ROAD_CLASSES[i] for i in outcome.known_class_id)}]",
+    )
 
 
 def _check_folder(options: PseudoLabelOptions, data: OwnLabels) -> None:

@@ -36,8 +36,7 @@ def train(options: TrainOptions) -> None:
     """Train, export the best network to the run folder, and print its metrics."""
     settings = _settings(options)
     data = read_data_yaml(options.data)
-    for note in data.notes:
-        print_line(console, note)
+    print_line(console, *data.notes)
     data.check_trainable(options.data, options.model)
     check_start(options.out, resume=options.resume, weights=options.weights, files=(CURVES, f"{options.model}.onnx"))
     teacher = None
@@ -87,7 +86,7 @@ def _prepared(
 
 
 class _Display:
-    """Listener that shows a progress bar for the current epoch and a line for each finished one."""
+    """Implements `Listener`: shows a progress bar for the current epoch and a line for each finished one."""
 
     def __init__(self, n_epochs: int, draw: Callable[[], None]) -> None:
         self._n_epochs, self._draw = n_epochs, draw
@@ -104,16 +103,13 @@ class _Display:
         self._minutes: list[float] = []
 
     def step(self, epoch: int, i: int, n: int, losses: Losses) -> None:
-        """Implements `Listener`."""
         text = " ".join(f"{name} {float(loss.detach()):.4f}" for name, loss in losses.items())
         self._move(f"epoch {epoch + 1} of {self._n_epochs}", i, n, text)
 
     def validated(self, epoch: int, i: int, n: int) -> None:
-        """Implements `Listener`."""
         self._move(f"validation {epoch + 1}", i, n, "")
 
     def epoch(self, row: dict[str, float]) -> None:
-        """Implements `Listener`."""
         self._minutes.append(row["minutes"])
         left = (self._n_epochs - row["epoch"]) * float(np.median(self._minutes))
         figures = f"AP50 {100 * row['ap50']:.1f} %, AP50-95 {100 * row['ap50_95']:.1f} %, " if "ap50" in row else ""
@@ -158,8 +154,8 @@ def _finish(training: Training, options: TrainOptions, data: TrainingData) -> No
     training.export(model, family=NETWORKS[options.model].family, data=name, licence=options.licence)
     print_grid(console, class_grid({"n_images": len(data.val), "models": {options.model: training.scores().as_dict()}}))
     names = [name for name in (CURVES, RESULTS, BEST, LAST) if (options.out / name).exists()]
-    print_line(console, f"Written: {model}, and in the same folder {', '.join(names)}.")
-    print_line(console, f"To use it: track-range --mono VIDEO --focal-px PX --detector {model}")
+    written = f"Written: {model}, and in the same folder {', '.join(names)}."
+    print_line(console, written, f"To use it: track-range --mono VIDEO --focal-px PX --detector {model}")
 
 
 def _duration(minutes: float) -> str:
