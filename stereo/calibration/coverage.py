@@ -113,7 +113,6 @@ def _range(values: FloatArray) -> tuple[float, float]:
 
 
 def _uncovered_parts(fraction: FloatArray) -> list[str]:
-    """Warnings about thirds of the image with hardly any corners, and edges without corners."""
     warnings = []
     for axis, names in enumerate(_THIRDS):
         counts = np.histogram(fraction[:, axis], bins=3, range=(0, 1))[0] / len(fraction)

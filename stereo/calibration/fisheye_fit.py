@@ -82,10 +82,7 @@ UNDETERMINED = "the views do not determine the camera; add views with the board 
 
 
 def board_pose(camera: PinholeCamera, view: BoardView) -> FloatArray:
-    """(4, 4) board to camera, from the directions of the corners that the camera images (direct linear transform).
-
-    Raises CalibrationError if fewer than four corners have a direction.
-    """
+    """(4, 4) board to camera (direct linear transform); CalibrationError if fewer than four corners have directions."""
     rays = camera.recorded_rays(view.xy_px)
     known = np.isfinite(rays).all(axis=1)
     if known.sum() < 4:
@@ -178,7 +175,6 @@ class _Corners:
 
 
 def _camera(parameters: FloatArray, size_px: tuple[int, int]) -> PinholeCamera:
-    """The camera with parameters (8 or more,)."""
     fx, fy, cx, cy, *k = parameters[:N_INTRINSICS].tolist()
     return PinholeCamera(fx, fy, cx, cy, *size_px, tuple(k), KANNALA_BRANDT)
 

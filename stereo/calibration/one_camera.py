@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -123,7 +123,11 @@ def calibrate_camera(
     """
     check_views(views)
     model = CameraModel(lens, n_distortion_coefficients).started(views)
-    used, rejected = without_outliers(views, lambda subset: fit_camera(subset, model)[1], lambda view: view.name)
+
+    def residuals_px(subset: list[BoardView]) -> list[float]:
+        return [fit.rms_px for fit in fit_camera(subset, model)[1]]
+
+    used, rejected = without_outliers(views, residuals_px, lambda view: view.name)
     camera, fits = fit_camera(used, model)
     coverage = coverage_of(used, np.stack([fit.board_to_camera for fit in fits]))
     if coverage.is_parallel:
@@ -208,21 +212,13 @@ def check_determined(std: IntrinsicStd, camera: PinholeCamera) -> None:
         )
 
 
-class Fit(Protocol):
-    """Fit of one view, or of a pair of views."""
-
-    @property
-    def rms_px(self) -> float:
-        """Root mean square residual."""
-
-
 def without_outliers(
-    views: Sequence[T], fitted: Callable[[list[T]], Sequence[Fit]], name_of: Callable[[T], str]
+    views: Sequence[T], residuals_px: Callable[[list[T]], list[float]], name_of: Callable[[T], str]
 ) -> tuple[list[T], tuple[RejectedView, ...]]:
-    """The views (or pairs) without outliers, and these, worst first; `fitted` gives fits of some, in their order."""
+    """The views (or pairs) without outliers, and these, worst first; `residuals_px` fits some and gives their RMS."""
     used, rejected = list(views), []
     while len(used) > min_used(len(views)):
-        rms_px = np.array([fit.rms_px for fit in fitted(used)])
+        rms_px = np.array(residuals_px(used))
         median_px, worst = float(np.median(rms_px)), int(rms_px.argmax())
         if rms_px[worst] <= max(_OUTLIER_RATIO * median_px, median_px + _OUTLIER_SIGMAS * mad_sigma(rms_px)):
             break

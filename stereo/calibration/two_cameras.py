@@ -112,7 +112,11 @@ def calibrate_pair(
         check_views([pair[side] for pair in pairs])
     model = CameraModel(lens, n_distortion_coefficients)
     models = model.started([pair[0] for pair in pairs]), model.started([pair[1] for pair in pairs])
-    used, rejected = without_outliers(pairs, lambda subset: _fit(subset, models)[1], lambda pair: pair[0].name)
+
+    def residuals_px(subset: list[ViewPair]) -> list[float]:
+        return [fit.rms_px for fit in _fit(subset, models)[1]]
+
+    used, rejected = without_outliers(pairs, residuals_px, lambda pair: pair[0].name)
     used, moved = _without_moved_boards(used, min_used(len(pairs)), models) if lens != PINHOLE else (used, ())
     rig, fits = _fit(used, models)
     left_px, right_px = (total_rms_px(fits) for _, fits in _single_fits(used, models))
@@ -236,7 +240,6 @@ def _check_consistency(single_px: float, fits: Sequence[PairFit]) -> None:
 
 
 def _check_relative_pose(rig: StereoRig) -> None:
-    """Raise an error if the cameras are swapped, upside down or one above the other."""
     angle_deg = math.degrees(rotation_angle_rad(rig.right_from_left[:3, :3]))
     if angle_deg > _UPSIDE_DOWN_DEG:
         raise CalibrationError(

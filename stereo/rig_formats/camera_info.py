@@ -44,10 +44,7 @@ class CameraInfo:
 
 
 def camera_of(message: CameraInfo, path: Path, *, is_rectified: bool) -> PinholeCamera:
-    """The camera of a message: P for rectified images, K with distortion for raw ones.
-
-    Raises RigError for an unknown distortion model.
-    """
+    """The camera of a message: P for rectified images, else K with distortion; RigError for an unknown lens model."""
     if is_rectified:
         return PinholeCamera.of_matrix(message.p, message.size_px)
     n_coefficients = len(message.distortion)
@@ -63,10 +60,7 @@ def camera_of(message: CameraInfo, path: Path, *, is_rectified: bool) -> Pinhole
 
 
 def rig_of(left: CameraInfo, right: CameraInfo, path: Path, *, is_rectified: bool) -> StereoRig:
-    """The rig of two messages.
-
-    Raises RigError if a distortion model is unknown, the messages contain no baseline, or contradict each other.
-    """
+    """The rig of two messages; RigError for an unknown lens model, no baseline, or contradicting messages."""
     if not left.p[0, 0] or not right.p[0, 0]:
         raise RigError(f"{path}: expected projection matrices P in both calibrations, found zeros; give a rig.yaml.")
     # the origin of the rectified frames is that of the left camera in most recordings, in KITTI's that of another one

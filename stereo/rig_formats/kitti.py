@@ -173,7 +173,6 @@ def _missing(text: str, _path: object, is_grey: bool) -> str:
 
 
 def _matrix(values: str, name: str) -> FloatArray:
-    """The (3, 4) projection matrix of a line."""
     matrix = _numbers(values, 12, name).reshape(3, 4)
     if not np.isfinite(matrix).all():
         words = quoted(values.strip())
@@ -188,7 +187,6 @@ def _matrix(values: str, name: str) -> FloatArray:
 
 
 def _numbers(values: str, count: int, name: str) -> FloatArray:
-    """The (count,) numbers of a line."""
     try:
         numbers = np.array([float(word) for word in values.split()])
     except ValueError as error:
@@ -200,7 +198,6 @@ def _numbers(values: str, count: int, name: str) -> FloatArray:
 
 
 def _size(values: str, name: str) -> tuple[int, int]:
-    """(width, height) of a line."""
     try:
         width, height = (float(word) for word in values.split())
     except ValueError:

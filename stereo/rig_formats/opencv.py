@@ -133,14 +133,12 @@ def _shaped(values: FloatArray, shape: tuple[int, ...], name: str, path: Path) -
 def _sibling(path: Path, values: Mapping[str, FloatArray]) -> Path | None:
     """The file in the folder of `path` with the other half of the calibration, if needed and present."""
     is_one_camera = "intrinsic" not in path.stem and not any(key in values for key in _OF_PAIR)
-    lacks_extrinsic = "M1" in values and not is_one_camera and not all(key in values for key in _EXTRINSIC)
-    lacks_intrinsic = "M1" not in values and any(key in values for key in _EXTRINSIC)
-    if lacks_extrinsic:
-        stem = path.stem.replace("intrinsic", "extrinsic") if "intrinsic" in path.stem else "extrinsics"
-    elif lacks_intrinsic:
-        stem = path.stem.replace("extrinsic", "intrinsic") if "extrinsic" in path.stem else "intrinsics"
-    else:
+    own, other = ("intrinsic", "extrinsic") if "M1" in values else ("extrinsic", "intrinsic")
+    if own == "intrinsic" and (is_one_camera or all(key in values for key in _EXTRINSIC)):
         return None
+    if own == "extrinsic" and not any(key in values for key in _EXTRINSIC):
+        return None
+    stem = path.stem.replace(own, other) if own in path.stem else f"{other}s"
     candidates = (path.with_name(stem + suffix) for suffix in (path.suffix, *_SIBLING_SUFFIXES))
     return next((candidate for candidate in candidates if candidate != path and candidate.is_file()), None)
 

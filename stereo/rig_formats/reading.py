@@ -104,10 +104,7 @@ def load_calibration(
 
 
 def missing_camera(path: Path, *, is_grey: bool = False) -> str:
-    """What a file with one camera lacks for a stereo rig, for messages.
-
-    Raises RigError if the file cannot be read or is not a calibration.
-    """
+    """What a file with one camera lacks for a rig, for messages; RigError if the file is not a calibration."""
     rig_format, text = _format_of(path)
     return rig_format.missing(text, path, is_grey)
 
@@ -139,7 +136,6 @@ def find_rig(left_video: Path) -> Path | None:
 
 
 def _format_of(path: Path) -> tuple[RigFormat, str]:
-    """The format that recognises a file, and the file's text."""
     text = read_text(path, RigError, f"a rig ({FORMAT_TITLES})")
     for rig_format in RIG_FORMATS:
         if rig_format.recognises(text):

@@ -83,10 +83,7 @@ class _RigFile(BaseModel):
 
 
 def save_rig(rig: StereoRig, path: Path, *, comments: Sequence[str] = ()) -> None:
-    """Write a rig as rig.yaml, with `comments` as its first lines.
-
-    Raises RigError if the rig is implausible, or the file cannot be written.
-    """
+    """Write rig.yaml, with `comments` as its first lines; RigError for an implausible rig, or an unwritable file."""
     check_rig(rig, path)
     rotation, translation_m = rig.right_from_left[:3, :3].tolist(), rig.right_from_left[:3, 3].tolist()
     content = {

@@ -84,15 +84,12 @@ _NAMES = {
 
 
 class _Camera(NamedTuple):
-    """One camera of a file."""
-
     info: CameraInfo
     path: Path
     is_raw: bool  # whether K and D describe raw images; False = the file only has P, of rectified images
 
     @property
     def is_rectified(self) -> bool:
-        """Whether the images are rectified, according to the file."""
         return not self.is_raw or is_undistorted(self.info)
 
 
@@ -119,10 +116,7 @@ def _read_pair(text: str, path: Path, is_grey: bool) -> RigCalibration:
 
 
 def read_folder(folder: Path) -> RigCalibration:
-    """The two cameras of the files in a folder.
-
-    Raises RigError if the folder has not two files with one camera each, or a file cannot be read.
-    """
+    """The two cameras of the files in a folder; RigError if there are not two, or a file cannot be read."""
     paths = sorted(path for path in folder.iterdir() if path.suffix in _SUFFIXES)[:_MAX_FILES]
     texts = {path: read_text(path, RigError, _EXPECTED) for path in paths}
     cameras = [camera for path, text in texts.items() if _is_camera_info(text) for camera in _cameras(text, path)]
@@ -220,10 +214,5 @@ def _missing(_text: str, path: Path, _is_grey: bool) -> str:
 
 
 ROS = RigFormat(
-    name="ros",
-    title=_TITLE,
-    recognises=_is_camera_info,
-    read=_read,
-    read_pair=_read_pair,
-    missing=_missing,
+    name="ros", title=_TITLE, recognises=_is_camera_info, read=_read, read_pair=_read_pair, missing=_missing
 )

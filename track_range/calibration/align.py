@@ -95,10 +95,7 @@ class RigAlignment:
         return [sentence for sentence in sentences if sentence]
 
     def save(self, settings: AlignmentSettings) -> None:
-        """Write the alignment file and, if `settings.json_file` is given, the results.
-
-        Raises OutputError or RigError if a file cannot be written.
-        """
+        """Write the alignment file and the results, if `settings.json_file` is given; OutputError or RigError."""
         save_alignment(self.applied, settings.out)
         write_json(settings.json_file, self.figures)
 

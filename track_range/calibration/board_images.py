@@ -23,6 +23,7 @@ from track_range.foundation.files.images import IMAGE_SUFFIXES
 from track_range.recording.frame import TIME_EPSILON_S
 from track_range.recording.open_video import open_video
 from track_range.recording.pairs.recorded_pair import RecordedPair
+from track_range.recording.segments.segment_times import natural_key
 from track_range.stereo.calibration.board_views import RejectedView
 
 _MAX_VIDEO_SHOTS = 300  # largest number of frames of a video that are searched for boards
@@ -127,7 +128,7 @@ def _files(source: str) -> list[Path]:
     """The images of a folder or matching a pattern, sorted by the numbers in their names."""
     path = Path(source)
     if path.is_dir():
-        return sorted(images_in(path), key=_natural_order)
+        return sorted(images_in(path), key=lambda image: natural_key(str(image)))
     if path.is_file():
         raise ImageFileError(
             f"{source}: expected several images, got one; give a pattern such as 'boards/*.jpg' in quotes, or a folder."
@@ -139,12 +140,7 @@ def _files(source: str) -> list[Path]:
         raise ImageFileError(
             f"{source}: {reason}; give a pattern such as 'boards/*.jpg' in quotes, a folder or a video."
         )
-    return sorted(images, key=_natural_order)
-
-
-def _natural_order(path: Path) -> list[tuple[int, str]]:
-    """Sort key that places img2 before img10."""
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", str(path))]
+    return sorted(images, key=lambda image: natural_key(str(image)))
 
 
 def _paired(sources: Sequence[str], files: Sequence[list[Path]]) -> ImageFiles:

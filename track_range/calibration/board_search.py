@@ -14,6 +14,7 @@ import numpy as np
 
 from track_range.calibration.board_images import BoardImages, Shot
 from track_range.foundation.arrays import Image
+from track_range.foundation.files.input_files import counted
 from track_range.stereo.calibration.board_views import (
     BoardFinder,
     BoardView,
@@ -154,8 +155,9 @@ def _check_board(board: Board, samples: Sequence[Image], *, n_found: int, n_imag
         )
     if not n_found:
         raise CalibrationError(
-            f"no board of {board.name} inner corners found in {_counted(n_images)}; it must be completely visible, "
-            "flat, evenly lit and with a white border, and --board counts the points where black squares touch."
+            f"no board of {board.name} inner corners found in {counted(n_images, 'image')}; it must be completely "
+            "visible, flat, evenly lit and with a white border, and --board counts the points where black squares "
+            "touch."
         )
 
 
@@ -163,13 +165,9 @@ def _no_charuco_message(board: CharucoBoard, samples: Sequence[Image], n_images:
     seen = count_markers(samples[:2])
     # A dictionary of 50 markers is the start of that of 100: of equally good ones, the smallest is the right one.
     best = max(seen, key=lambda name: (seen[name], -int(name.split("_")[-1]) if name.split("_")[-1].isdigit() else 0))
-    problem = f"no board {board.name} found in {_counted(n_images)}"
+    problem = f"no board {board.name} found in {counted(n_images, 'image')}"
     if not seen[best]:
         return f"{problem}, and no ArUco marker; the board must be well lit, with markers at least 20 px wide."
     if seen[board.dictionary] < seen[best]:
         return f"{problem}; the markers belong to the dictionary {best}; append it to --board."
     return f"{problem}, but markers of {board.dictionary}; check the numbers of squares, columns first."
-
-
-def _counted(n_images: int) -> str:
-    return f"{n_images} image{'' if n_images == 1 else 's'}"

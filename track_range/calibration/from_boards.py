@@ -55,10 +55,7 @@ class BoardCalibration:
         return list(self.figures["warnings"])
 
     def save(self, settings: CalibrationSettings) -> list[Path]:
-        """Write the rig, the picture and, if `settings.json_file` is given, the results; returns the files' paths.
-
-        Raises OutputError or RigError if a file cannot be written.
-        """
+        """Write the rig, the picture and perhaps the results, and return their paths; OutputError or RigError."""
         comments = [f"track-range calibrate: {len(self.result.fits)} views, residual {self.result.rms_px:.3f} px RMS"]
         if isinstance(self.result, PairCalibration):
             save_rig(self.result.rig, settings.out, comments=comments)
@@ -110,7 +107,6 @@ def calibrate_views(
 
 
 def _measured_figures(calibration: BoardCalibration) -> dict[str, Any]:
-    """Cameras, standard deviations, used and rejected views as plain values for JSON."""
     result, search, cameras = calibration.result, calibration.search, calibration.cameras
     figures: dict[str, Any] = {name: _camera_figures(camera) for name, camera in cameras.items()}
     if isinstance(result, PairCalibration):
@@ -174,7 +170,6 @@ def _board(settings: CalibrationSettings) -> Board:
 
 
 def _warnings(search: BoardSearch, cameras: Mapping[str, CameraCalibration]) -> list[str]:
-    """Messages for the user about an implausible distance, blur, and images of different size."""
     warnings = []
     first = next(iter(cameras.values()))
     distance_m = float(np.median([fit.board_to_camera[2, 3] for fit in first.fits]))

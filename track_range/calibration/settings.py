@@ -41,8 +41,7 @@ class BaselineOptions(Options):
         option("Detector of road users, whose sizes check the baseline: a name or an ONNX file.", panel=_BASELINE),
     ] = None
     detections: Annotated[
-        Path | None,
-        option("File with boxes of road users, instead of a detector.", panel=_BASELINE, metavar="FILE"),
+        Path | None, option("File with boxes of road users, instead of a detector.", panel=_BASELINE, metavar="FILE")
     ] = None
     ego_speed: Annotated[
         str | None,
@@ -115,15 +114,11 @@ class CalibrationSettings(Options):
         ),
     ] = ()
     known_height: Annotated[
-        tuple[str, ...],
-        option("Known height of an object, with its box as above.", **_KNOWN_BOX),
+        tuple[str, ...], option("Known height of an object, with its box as above.", **_KNOWN_BOX)
     ] = ()
     known_width: Annotated[
         tuple[str, ...],
-        option(
-            "Known width of an object seen from behind or the front, with its box as above.",
-            **_KNOWN_BOX,
-        ),
+        option("Known width of an object seen from behind or the front, with its box as above.", **_KNOWN_BOX),
     ] = ()
     known_lane_width: Annotated[
         tuple[str, ...],

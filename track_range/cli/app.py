@@ -116,7 +116,7 @@ COMMANDS = {
         ("track-range train --data data.yaml --epochs 100", "track-range train --data data.yaml --epochs 100 --resume"),
     ),
     "anchors": Lazy(
-        "track_range.cli.commands.training.anchors",
+        "track_range.cli.commands.training.train:anchors_app",
         "Fit anchors to the boxes of a data set (k-means++).",
         "Prints the anchors and their mean best IoU with the boxes, and that of the networks' default anchors.",
         ("track-range anchors --data data.yaml --size 640 --clusters 9",),

@@ -240,7 +240,6 @@ class _Reader:
         return events_of(frames_of_rows(rows, frames, methods_measured(rows), fps))
 
     def _summary_from_rows(self, columns: Columns, matched: MatchedTruth | None) -> dict[str, Any]:
-        """Sections of a summary that can be computed from the rows."""
         truth = None if matched is None else matched.truth
         frame = columns["frame"].astype(np.int64)
         first, last = (int(frame.min()), int(frame.max())) if len(frame) else (0, -1)

@@ -53,10 +53,7 @@ class RunTable:
         self.close()
 
     def append(self, result: FrameResult) -> None:
-        """Add the rows of one frame.
-
-        OutputError if a batch cannot be written to the temporary folder; the table is as before.
-        """
+        """Add the rows of one frame; OutputError if a batch cannot be written: the table is then as before."""
         if not len(result.tracks):
             return
         # copies, since the caller may change the arrays of the result
@@ -173,10 +170,7 @@ class RunRows:
         return len(self.frame_index)
 
     def add(self, result: FrameResult) -> tuple[Event, ...]:
-        """Add a finished frame, and return the events that ended before it.
-
-        OutputError if its rows cannot be stored; they are not added.
-        """
+        """Add a frame, and return the events that ended before it; OutputError if its rows cannot be stored."""
         self.table.append(result)
         ended = self.finder.update(result)
         self.events += ended

@@ -9,10 +9,7 @@ from track_range.views.overlay.result_video import Draw
 
 
 def pictures(settings: RunSettings, recording: Recording, status: Status) -> dict[str, tuple[Draw, tuple[int, int]]]:
-    """Drawing function and (width, height) of the videos of a run, by file name without suffix.
-
-    `status`: see `Overlay`.
-    """
+    """Drawing function and (width, height) of the videos of a run by their names; `status`: see `Overlay`."""
     drawn: dict[str, tuple[Draw, tuple[int, int]]] = {}
     rig, size_px = recording.rig, recording.size_px
     if settings.overlay:

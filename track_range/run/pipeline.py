@@ -253,7 +253,6 @@ class Pipeline:
         return result
 
     def _open(self, sizes_px: tuple[tuple[int, int], ...]) -> _Opened:
-        """The calibration for images of these sizes, and the stages."""
         cameras = self._cameras
         if not isinstance(cameras, Path | StereoRig | PinholeCamera):
             cameras = PinholeCamera.of_focal_length(float(cameras), sizes_px[0])

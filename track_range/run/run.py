@@ -384,7 +384,6 @@ def _video(name: str | Path | Sequence[str | Path]) -> str | list[str]:
 
 
 def _headline_figures(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Names and texts of the main figures."""
     yield "frames", str(summary["frames"])
     yield "tracks", str(summary["tracks"]["n"])
     if (rate := summary.get("frames_per_s")) is not None:

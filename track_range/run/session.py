@@ -329,7 +329,6 @@ def _versions() -> dict[str, str]:
 
 
 def _region_of(track: TelemetryTrack | None) -> Region:
-    """The region of the positions of a recording; "unknown" without any."""
     if track is None:
         return "unknown"
     is_known = has_position(track.latitude_deg, track.longitude_deg)

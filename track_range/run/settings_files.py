@@ -70,10 +70,7 @@ def pipeline_options(values: Mapping[str, Any]) -> PipelineOptions:
 
 
 def _check_anonymized(settings: RunSettings, keys: list[str], file: Path | None) -> None:
-    """Check that the inputs of an anonymized run, which its settings name without folders, are in the current folder.
-
-    `keys`: the settings that come from the file.
-    """
+    """Check that the current folder has the inputs that an anonymized run's file names by `keys`, without folders."""
     videos = [path for video in settings.videos for path in files_of(video)]
     for key in keys:
         files = videos if key in ("stereo", "mono") else []

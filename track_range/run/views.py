@@ -50,10 +50,7 @@ def run_views(settings: RunSettings, views_deg: Sequence[float], run: Callable[[
 
 
 def directions_deg(text: str, settings: RunSettings) -> tuple[float, ...]:
-    """The directions of a value of --views, in ascending order.
-
-    UsageError if they are not two or more different numbers, or if the settings do not allow several views.
-    """
+    """Directions of a value of --views, ascending; UsageError if not two or more, or if the settings allow one view."""
     if settings.mono is None or settings.yaw_deg:
         raise UsageError("--views: expected --mono and no --yaw-deg, since each view has its own.")
     if settings.table is not None:

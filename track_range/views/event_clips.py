@@ -12,7 +12,7 @@ others are copied. If the encoder of another version gives other parameter sets,
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from fractions import Fraction
 from itertools import islice
@@ -37,20 +37,12 @@ MAX_CLIP_S = 30.0
 """Largest duration of a clip, s; that of a longer event shows two thirds of it before the peak and a third after."""
 
 
-def write_clips(
-    overlay: Path,
-    events: Sequence[Event],
-    folder: Path,
-    *,
-    starts_s: float,
-    progress: Callable[[int, int], None] = lambda _done, _total: None,
-) -> tuple[Path, ...]:
+def write_clips(overlay: Path, events: Sequence[Event], folder: Path, *, starts_s: float) -> tuple[Path, ...]:
     """Write a clip of each event of which the overlay shows a frame, and return their paths.
 
     Clips of an earlier run in the folder are removed. VideoError if the overlay cannot be read, OutputError if a clip
     cannot be written. `events` are all events of the run, in the order of events.csv; `starts_s` is the time of the
-    overlay's first frame in seconds from the start of the video. `progress` is called with the number of finished clips
-    and of all.
+    overlay's first frame in seconds from the start of the video.
     """
     if not overlay.exists():
         raise VideoError(
@@ -62,12 +54,11 @@ def write_clips(
         return ()
     make_folder(folder)
     written = []
-    for i, event in enumerate(events):
-        path = folder / clip_name(i + 1, event.kind, event.track_id)
+    for number, event in enumerate(events, 1):
+        path = folder / clip_name(number, event.kind, event.track_id)
         start_s, end_s = clip_interval_s(event)
         if cut_clip(overlay, path, start_s - starts_s, end_s - starts_s):
             written.append(path)
-        progress(i + 1, len(events))
     return tuple(written)
 
 
@@ -81,10 +72,7 @@ def clip_interval_s(event: Event) -> tuple[float, float]:
 
 
 def remove_clips(folder: Path) -> None:
-    """Remove the clips of an earlier run, and their folder if it is then empty.
-
-    OutputError if a clip cannot be removed.
-    """
+    """Remove the clips of an earlier run, and their folder if it is then empty; OutputError if this fails."""
     try:
         for path in list(folder.iterdir()) if folder.is_dir() else ():
             if is_clip_name(path.name):
@@ -168,10 +156,7 @@ def _encode(container: InputContainer, stream: VideoStream, first_tick: int, n_f
 
 
 def _mux(packets: Sequence[_Packet], path: Path) -> None:
-    """Write packets to an MP4 file with the parameters of the first one's stream; its index comes first.
-
-    Browsers therefore play the clip while it loads.
-    """
+    """Write packets to an MP4 file whose index comes first, so that browsers play the clip while it loads."""
     with av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"}) as container:
         stream = container.add_stream_from_template(packets[0].stream)
         for packet in packets:
@@ -181,7 +166,6 @@ def _mux(packets: Sequence[_Packet], path: Path) -> None:
 
 @contextmanager
 def _opened(video: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
-    """Context in which a video is open; VideoError if it cannot be read."""
     try:
         with av.open(str(video)) as container:
             if not container.streams.video:

@@ -74,10 +74,7 @@ class RoadCalibration:
         )
 
     def save(self, settings: CalibrationSettings) -> list[Path]:
-        """Write the camera and, if `settings.json_file` is given, the results; returns the files' paths.
-
-        Raises OutputError or RigError if a file cannot be written.
-        """
+        """Write the camera and perhaps the results, and return their paths; OutputError or RigError."""
         known = len({residual.name for residual in self.fit.residuals})
         comments = [f"track-range calibrate: from the road, {known} measurements, no lens distortion"]
         save_camera(self.fit.camera, settings.out, comments=comments, mounting=self.mounting)
@@ -259,10 +256,7 @@ def _detected_class(metres: KnownMetres, video: VideoName, camera: PinholeCamera
 def separability(
     fit: CameraFit, guesses: Sequence[FocalGuess], by_shape: FocalPosterior, *, has_height: bool
 ) -> tuple[str, ...]:
-    """Sentences on focal length, camera height, pitch, and pairs of them.
-
-    `by_shape` is the prior of the fit: guesses from outside of the images, and shapes of road users.
-    """
+    """Sentences on focal length, camera height, pitch, and pairs of them; `by_shape` is the prior of the fit."""
     camera, (shape_px, shape_sigma) = fit.camera, by_shape.guess
     origin = guesses[0].source if len(guesses) == 1 else " and ".join(guess.source for guess in guesses)
     if by_shape.n_tracks:

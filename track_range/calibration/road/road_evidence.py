@@ -80,10 +80,7 @@ def known_metres(distances: Sequence[str], heights: Sequence[str], widths: Seque
 
 
 def known_lanes(texts: Sequence[str]) -> tuple[KnownLane, ...]:
-    """Lane widths from the texts 'T_S,X1,X2,Y=METRES' of the option.
-
-    Raises UsageError if a text is not a measurement, or a value is not plausible.
-    """
+    """Lane widths from the texts 'T_S,X1,X2,Y=METRES' of the option; UsageError for others and implausible ones."""
     lanes, flag = [], "--known-lane-width"
     for text in texts:
         parts, (time_s, x1, x2, y), _, width_m = _parsed(text, flag, "T_S,X1,X2,Y", LANE_M)

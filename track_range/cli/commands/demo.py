@@ -85,10 +85,7 @@ def _print_screen(run: Run, console: Console) -> None:
 
 
 def track_grid(rows: pa.Table) -> Grid:
-    """One row per class: number of tracks, the longest one, the smallest distance and time to collision.
-
-    Predicted boxes, which no detection confirmed, are left out.
-    """
+    """One row per class: tracks, the longest one, smallest distance and time to collision, of observed boxes only."""
     if not len(rows):
         return grid_of("Tracks found", "class", [], [])
     observed = rows.filter(rows["observed"])

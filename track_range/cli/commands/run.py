@@ -126,7 +126,6 @@ def _process(run: Run, console: Console, view: LiveView | None, print_results: C
 
 
 def _print_tables(run: Run, console: Console) -> None:
-    """Print every table of the summary, and the names of the result files."""
     from track_range.cli.console import print_line, print_summary
 
     with _ignore_broken_pipe():

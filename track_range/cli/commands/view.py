@@ -49,10 +49,7 @@ def _view(options: ViewOptions) -> None:
 
 
 def recording_of(run: Path) -> Path:
-    """The run.rrd of a run; it is made from the other files of the run if there is none.
-
-    ViewError: the folder does not contain a run; OutputError: the file cannot be written.
-    """
+    """The run.rrd of a run, made from its other files if there is none; ViewError or OutputError."""
     path = run / RERUN_FILE
     if not is_run(run):
         raise ViewError(f"{run}: expected the result folder of a run, found none.")

@@ -42,10 +42,7 @@ def is_bag(path: Path) -> bool:
 
 
 def open_bag(path: Path) -> Bag:
-    """The opened bag.
-
-    Raises VideoError if it cannot be read or is compressed as a whole, the folder has several, or a package is missing.
-    """
+    """The opened bag; VideoError for an unreadable or compressed file, several bags, or a missing package."""
     if not path.is_dir():
         return _open_file(path)
     files = _files_in(path)

@@ -127,7 +127,6 @@ class Ros1File:
 
 
 def _record(file: BinaryIO) -> tuple[dict[bytes, bytes], bytes]:
-    """Header and data of the record at the position of the file."""
     return _fields(_block(file)), _block(file)
 
 
@@ -142,7 +141,6 @@ def _block(file: BinaryIO) -> bytes:
 
 
 def _fields(header: bytes) -> dict[bytes, bytes]:
-    """Fields name=value of a header."""
     fields, position = dict[bytes, bytes](), 0
     while position < len(header):
         (length,) = struct.unpack_from("<I", header, position)

@@ -275,14 +275,14 @@ def find_calibration(
 
 
 def calibration_of(
-    cameras: Path | StereoRig | PinholeCamera, sizes_px: Sizes, view: LensView = WHOLE_VIEW, *, is_grey: bool = False
+    cameras: Path | StereoRig | PinholeCamera, sizes_px: Sizes, view: LensView = WHOLE_VIEW
 ) -> RecordingCalibration:
     """The calibration of one camera or a pair, for images of one or two sizes, from a file or from camera models.
 
     Raises RigError if the file cannot be used, the cameras do not fit the images, or as `find_calibration`.
     """
     if isinstance(cameras, Path):
-        return _loaded(cameras, sizes_px, view, is_grey=is_grey)
+        return _loaded(cameras, sizes_px, view, is_grey=False)
     return _of_models(cameras, None, sizes_px, view)
 
 
@@ -366,9 +366,12 @@ def _calibration_in_bag(videos: Sequence[Video], sizes_px: Sizes, view: LensView
         return None
     path = bags[0].path.path
     is_rectified = all(bag.is_rectified or is_undistorted(message) for bag, message in zip(bags, messages, strict=True))
+    cameras: StereoRig | PinholeCamera
     if len(messages) == 1:
-        return _of_models(camera_of(messages[0], path, is_rectified=is_rectified), path, sizes_px, view)
-    return _of_models(rig_of(messages[0], messages[1], path, is_rectified=is_rectified), path, sizes_px, view)
+        cameras = camera_of(messages[0], path, is_rectified=is_rectified)
+    else:
+        cameras = rig_of(messages[0], messages[1], path, is_rectified=is_rectified)
+    return _of_models(cameras, path, sizes_px, view)
 
 
 def _of_models(
@@ -394,7 +397,6 @@ def _of_models(
 def _of_cameras(
     cameras: StereoRig | PinholeCamera, path: Path | None, notes: tuple[str, ...], sizes_px: Sizes, view: LensView
 ) -> RecordingCalibration:
-    """The calibration of checked models, for images of these sizes."""
     rig: StereoRig | None = None
     if isinstance(cameras, StereoRig):
         _check_view(cameras.left, view)

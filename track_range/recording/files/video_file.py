@@ -329,7 +329,6 @@ def _display_axes(frame: av.VideoFrame) -> tuple[int, int, int, int]:
 
 
 def _open(path: Path) -> tuple[InputContainer, VideoStream]:
-    """The file and its video stream, ready to decode."""
     try:
         # "file:", since a name may look like a URL
         container = av.open(f"file:{path}", mode="r", options=_OPTIONS, metadata_errors="replace")

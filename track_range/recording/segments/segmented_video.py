@@ -212,7 +212,6 @@ class SegmentedVideo(RecordedVideo):
         return video
 
     def _counted_frames(self, segment: SegmentFacts) -> int:
-        """Number of frames of a file by its header, or else by its packets."""
         if segment.path not in self._n_frames:
             self._n_frames[segment.path] = self._headers[segment.path].n_frames or count_packets(segment.path)[0]
         return self._n_frames[segment.path]

@@ -129,11 +129,7 @@ def _key_interval_s(path: Path, from_s: float) -> float:
 def _pairs(
     path: Path, from_s: float, until_s: float, spacing_s: float, n_left: int
 ) -> Generator[tuple[float, Image], None, None]:
-    """Times and grey images of pairs: a key frame, and the first frame at least `_STEP_S` later.
-
-    Pairs are at least `spacing_s` apart, in the part of the file between two times; at most `n_left` frames are
-    decoded.
-    """
+    """Times and grey images of pairs, `spacing_s` or more apart: a key frame, and the first one `_STEP_S` later."""
     with av.open(str(path)) as container:
         stream = container.streams.video[0]
         decoder, base_s = stream.codec_context, float(stream.time_base or 1)

@@ -64,14 +64,17 @@ def track(
     clock: Clock = "video",
     *,
     has_own_speed: bool = True,
+    unit: Unit = "known",
     notes: tuple[str, ...] = (),
     **given: Any,
 ) -> TelemetryTrack | None:
     """Telemetry of samples; None = no sample has a time, or no two have the positions that are needed.
 
     Numbers that no receiver reports (negative speeds, latitudes beyond 90 degrees) become NaN. Without an own speed,
-    `speed_mps` is derived from the positions; `given`: other attributes of the track.
+    `speed_mps` is derived from the positions; `unit`: see `in_known_unit`; `given`: other attributes of the track.
     """
+    samples, unit_notes = in_known_unit(samples, unit)
+    notes = (*notes, *unit_notes)
     rows = np.array(samples, np.float64).reshape(-1, 6)
     rows = rows[np.isfinite(rows[:, 0])][:MAX_SAMPLES]
     if not len(rows):

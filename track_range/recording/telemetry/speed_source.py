@@ -108,7 +108,6 @@ _NO_MOTION = MotionSeries(
 
 
 def _named(setting: str, parts: Sequence[VideoPart], motion: Callable[[], MotionSeries]) -> SpeedSource:
-    """Ego speed from a number, or from a file or folder that the user names."""
     path = Path(setting)
     if math.isfinite(number(setting)) or not path.is_file() or not parts or _is_table(path):
         return SpeedSource(ego=open_ego_speed(setting))

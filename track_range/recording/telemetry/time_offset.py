@@ -105,10 +105,7 @@ _Likelihood = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 def _fit(
     t: FloatArray, image: FloatArray, at_s: FloatArray, value: FloatArray, grid_s: FloatArray, likelihood: _Likelihood
 ) -> tuple[FloatArray, FloatArray] | None:
-    """(G,) log likelihood and correlation of each offset of a grid; None = too few samples.
-
-    (N,) motion `image` at times `t`, NaN = unknown, and (M,) telemetry `value` at times `at_s`.
-    """
+    """(G,) log likelihood and correlation by offset of (N,) motion at `t`, (M,) telemetry at `at_s`; None = too few."""
     if len(at_s) < _MIN_FIXES:
         return None
     is_used = np.isfinite(image) & (t >= at_s[0]) & (t <= at_s[-1])

@@ -127,8 +127,6 @@ class Conditions:
 
 @dataclass(slots=True)
 class _Open:
-    """An event in progress."""
-
     kind: EventKind
     group: int  # of the class of its object, see `SAME_OBJECT_GROUP`
     start_s: float
@@ -304,7 +302,6 @@ def _event(event: _Open) -> Event:
 
 
 def _reason(event: _Open) -> str:
-    """What happened, in one sentence without line breaks."""
     class_name, first, peak, extremes = ROAD_CLASSES[event.peak_class], event.first, event.peak, event.extremes
     name = class_name[:1].upper() + class_name[1:]
     if event.kind in ("forward_collision", "pedestrian_on_path"):

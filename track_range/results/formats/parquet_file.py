@@ -82,10 +82,7 @@ class ParquetWriter:
 
 
 def write_table(path: Path, table: pa.Table) -> None:
-    """Write rows in full precision as for tracks.parquet, with the metadata of their schema: the same bytes.
-
-    OutputError if the file cannot be written.
-    """
+    """Write rows in full precision and metadata as tracks.parquet, the same bytes; OutputError if this fails."""
     try:
         with atomic_path(path, is_flushed=False) as partial:
             _write_batches(partial, table.schema, table.to_batches())
@@ -178,7 +175,6 @@ def read_tracks_arrows(path: Path) -> tuple[Columns, bool]:
 
 @contextmanager
 def _errors_of(path: Path) -> Iterator[None]:
-    """Context in which errors of reading are reported with the file."""
     from pyarrow import ArrowException
 
     check_regular(path, OutputError, f"the {path.name} of a run", max_bytes=MAX_TABLE_BYTES)
@@ -192,11 +188,7 @@ def _errors_of(path: Path) -> Iterator[None]:
 
 
 def _usable_columns(path: Path, schema: pa.Schema) -> list[str]:
-    """Names of the columns that can be read.
-
-    OutputError if the file was written by a newer version; ValueError if there are too many columns, or one of them
-    twice.
-    """
+    """Names of the columns that can be read; OutputError for a newer version, ValueError for too many or equal ones."""
     from pyarrow import types
 
     check_schema_version(path, schema.metadata, OutputError)

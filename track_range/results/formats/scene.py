@@ -107,10 +107,7 @@ class ExtraError(UserError):
 
 
 def check_extra(format_name: str, extra: str, *packages: str) -> None:
-    """Import packages of a format, which `extra` of track-range installs, and disable their telemetry.
-
-    ExtraError if one of them is not installed.
-    """
+    """Import packages of a format, which `extra` installs, without their telemetry; ExtraError if one is missing."""
     disable_telemetry()
     for package in packages:
         top_level = package.partition(".")[0]

@@ -182,7 +182,6 @@ def _write_images(settings: ExportSettings, table: BoxTable, folder: Path) -> in
 
 
 def _export_rows(settings: ExportSettings, run: RunFolder, camera: PinholeCamera | None) -> Exported:
-    """Write the rows of a run with a result writer."""
     if camera is None:
         raise OutputError(f"{run.folder}: expected settings.yaml with the camera of the run, found none.")
     columns = run.columns

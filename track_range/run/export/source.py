@@ -108,10 +108,7 @@ def boxes_of_labels(path: Path, *, video: Path | None, first_frame: int) -> BoxT
 
 
 def frames_of_run(folder: Path) -> Iterator[tuple[int, Image]]:
-    """Number and rectified left image of each frame of a run, from its video.
-
-    ConfigError, VideoError, RigError: settings.yaml or the video cannot be read.
-    """
+    """Number and rectified left image of each frame of a run; ConfigError, VideoError or RigError."""
     with closing(open_input(settings_from({"align": "off"}, folder / "settings.yaml"))) as recording:
         for frame in recording.frames:
             yield frame.index, frame.left

@@ -134,7 +134,6 @@ class DetectionOptions(Options):
     @model_validator(mode="before")
     @classmethod
     def _packaged_detector(cls, values: Any) -> Any:
-        """Use the packaged detector if neither a detector nor detections are given."""
         if isinstance(values, dict) and values.get("detector") is None and values.get("detections") is None:
             from track_range.detection.models.lookup import DEFAULT_MODEL  # imports onnxruntime
 

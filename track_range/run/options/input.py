@@ -153,7 +153,6 @@ class InputOptions(Options):
     @field_validator("mono", mode="before")
     @classmethod
     def _name(cls, video: Any) -> Any:
-        """Convert a name to a path, several files, or the address of a camera or stream."""
         return _source_name(video)
 
     @field_serializer("stereo", "mono")

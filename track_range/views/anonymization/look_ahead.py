@@ -48,15 +48,13 @@ OFFLINE = LookAhead(time_s=0.5, max_frames=16)  # look-ahead for files
 LIVE = LookAhead(time_s=0.0, max_frames=0)  # look-ahead for cameras and streams: none
 
 
-def anonymized_results(
-    results: Iterable[FrameResult], look_ahead: LookAhead, rng: np.random.Generator | None = None
-) -> Generator[FrameResult, None, None]:
+def anonymized_results(results: Iterable[FrameResult], look_ahead: LookAhead) -> Generator[FrameResult, None, None]:
     """Results in order with `frame.left` anonymized, and without `frame.right` and `candidates`.
 
     The regions come from the tracks, and from `candidates` where there are any. If `results` raises, those that are
-    held back are returned before the error. `rng` generates the noise; None = seeded by the operating system.
+    held back are returned before the error.
     """
-    rng = np.random.default_rng() if rng is None else rng
+    rng = np.random.default_rng()  # seeded by the operating system
     for result, regions in with_regions(results, look_ahead):
         image = blurred(result.frame.left, regions, rng)
         image.flags.writeable = False

@@ -274,10 +274,7 @@ class _Handler(BaseHTTPRequestHandler):
             page.free_streams.release()
 
     def _next_picture(self, number: int) -> tuple[bytes, int] | None:
-        """The next picture after `number`, and its number; None at the end of the run.
-
-        ConnectionAbortedError if the client has disconnected.
-        """
+        """The next picture and its number; None = the end of the run; ConnectionAbortedError if the client has left."""
         while (picture := self.server.next_picture(number, _DISCONNECT_POLL_S)) and not picture[0]:
             self.connection.setblocking(False)
             with suppress(BlockingIOError):  # connected, and nothing more received

@@ -71,10 +71,7 @@ class LiveView:
             self._changed.notify_all()
 
     def next_picture(self, number: int, wait_s: float) -> tuple[bytes, int] | None:
-        """Wait up to `wait_s` for a result after `number`, and return it as JPEG with its number.
-
-        Empty bytes = there is no newer result yet; None = the run is over.
-        """
+        """JPEG and number of a result after `number`; b"" = none within `wait_s`; None = the run is over."""
         with self._changed:
             self._changed.wait_for(lambda: self._is_over or self._number > number, wait_s)
             if self._number <= number:
@@ -116,10 +113,7 @@ def open_view(*, show: bool, serve: str | None, n_viewers: int = DEFAULT_VIEWERS
 
 
 def parse_address(text: str) -> tuple[str, int]:
-    """Host and port of `--serve PORT` or `--serve HOST:PORT`; the loopback address without a host.
-
-    UsageError if the text is neither.
-    """
+    """Host and port of `--serve [HOST:]PORT`; without a host, the loopback address. UsageError for another text."""
     match = _ADDRESS.fullmatch(text)
     if match is None or int(match["port"]) > 65535:
         raise UsageError(f"--serve: expected a port such as 8000, or HOST:PORT, got '{text}'.")

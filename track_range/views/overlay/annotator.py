@@ -107,7 +107,6 @@ class Overlay:
     def _draw_labels(
         self, canvas: Image, result: FrameResult, boxes: FloatArray, rows: Sequence[int], colours: Sequence[Bgr]
     ) -> None:
-        """Draw the texts in the corners, then the label of each track in the order of `rows`."""
         image_px = (canvas.shape[1], canvas.shape[0])
         *sizes_px, line_px = text_sizes_px(image_px)
         occupied = self._draw_corners(canvas, result, sizes_px[1])
@@ -134,10 +133,7 @@ class Overlay:
                 self._text.write(canvas, lines, placement[1], stripe=colours[rows[i]])
 
     def _draw_corners(self, canvas: Image, result: FrameResult, size_px: int) -> FloatArray:
-        """Draw frame number and time at the upper left and the legend at the upper right, if there is room.
-
-        Returns (1 to 3, 4) rectangles of these and of the inset, in pixels.
-        """
+        """Draw the texts of the corners that have room; (1 to 3, 4) rectangles of these and of the inset, in pixels."""
         corners = corner_lines(result, size_px, status=self._status(), warning=self._warning)
         (w, h), (legend_w, legend_h) = self._text.sizes_px(corners).tolist()
         height, width = canvas.shape[:2]
@@ -199,10 +195,7 @@ def draw_leader(canvas: Image, place: FloatArray, box: FloatArray, *, bgr: Bgr, 
 
 
 def _nearest(low: float, high: float, other_low: float, other_high: float) -> tuple[int, int, float]:
-    """Nearest points of two intervals of an axis, and the gap between them (negative = overlap).
-
-    Overlapping intervals share the point, so that a leader is the shortest line.
-    """
+    """Nearest points of two intervals, one common point if they overlap, and the gap (negative = overlap)."""
     shared_low, shared_high = max(low, other_low), min(high, other_high)
     if shared_low <= shared_high:
         return round(shared_low), round(shared_low), shared_low - shared_high

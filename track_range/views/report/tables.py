@@ -173,7 +173,6 @@ def accuracy_grids(summary: Summary) -> list[Grid]:
 
 
 def _distance_grids(summary: Summary, *, has_errors: bool) -> tuple[Grid, Grid]:
-    """Distance errors of each method on its own coverage, and on common coverage."""
     title = "Distance error of each method on its own coverage" if has_errors else "Coverage of each method"
     common = summary.get("common") or {}
     n = max((figure(row, "n") or 0 for row in common.values()), default=0)

@@ -20,8 +20,7 @@ class FleetReportOptions(FleetStatusOptions):
     """Options of `track-range fleet report`."""
 
     html: Annotated[
-        str | None,
-        option("Page to write; its links lead to the files of the clips in OUT.", metavar="FILE.html|URI"),
+        str | None, option("Page to write; its links lead to the files of the clips in OUT.", metavar="FILE.html|URI")
     ] = None
     table: Annotated[Path | None, option("Markdown file for the tables.", metavar="FILE.md")] = None
     json_file: Annotated[Path | None, option("JSON file for the figures.", flag="--json", metavar="FILE")] = None

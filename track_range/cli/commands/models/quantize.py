@@ -47,7 +47,6 @@ class _OriginalsBoxes:
 
     @property
     def n_images(self) -> int:
-        """Expected number of images."""
         return len(self.paths)
 
     def __iter__(self) -> Iterator[tuple[Image, ImageTruth]]:
@@ -80,8 +79,7 @@ class QuantizeOptions(Options):
     ]
     out: Annotated[Path, option("Folder of the copies (default: the current folder).", metavar="DIR")] = Path()
     labels: Annotated[
-        Path | None,
-        option("Labels of the images (default: the boxes of the original detector).", metavar="DIR|FILE"),
+        Path | None, option("Labels of the images (default: the boxes of the original detector).", metavar="DIR|FILE")
     ] = None
     label_format: LabelFormatField = None
     label_names: LabelNamesField = None
@@ -96,11 +94,7 @@ class QuantizeOptions(Options):
 
 
 def _quantize(options: QuantizeOptions) -> None:
-    """Write NAME-int8.onnx and NAME-fp16.onnx, and print their size, speed and accuracy beside those of the original.
-
-    Calibration uses `N_CALIBRATION` images of the folder (at most half of them), drawn with a fixed seed; accuracy is
-    measured on the others, against labels if given, else against the original's boxes of 0.25 confidence or more.
-    """
+    """Calibrate on at most half of the images, drawn with a fixed seed; accuracy is measured on the others."""
     images, out = options.images, options.out
     detector = replace(DetectorOptions.of(options), device="cpu")
     source = None if options.labels is None else LabelledSource.of(options)

@@ -62,9 +62,7 @@ class TrainOptions(Options):
     out: Annotated[
         Path,
         option(
-            "Folder of the run: checkpoints, results.csv, curves.png and the ONNX file.",
-            metavar="DIR",
-            panel=_OUTPUT,
+            "Folder of the run: checkpoints, results.csv, curves.png and the ONNX file.", metavar="DIR", panel=_OUTPUT
         ),
     ] = Path("track-range-training")
     resume: Annotated[
@@ -127,8 +125,7 @@ class TrainOptions(Options):
         ),
     ] = 0.9
     last_epochs: Annotated[
-        int,
-        option("Number of epochs at the end without mosaics.", metavar="N", panel=_TRAINING, ge=0),
+        int, option("Number of epochs at the end without mosaics.", metavar="N", panel=_TRAINING, ge=0)
     ] = 0
     int8_epochs: Annotated[
         int,

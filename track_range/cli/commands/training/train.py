@@ -1,17 +1,25 @@
-"""`track-range train`: trains a detector on labelled images and exports it as an ONNX file."""
+"""`track-range train` and `anchors`; PyTorch is imported when one of them runs."""
 
 from __future__ import annotations
 
-from track_range.cli.commands.training.options import TrainOptions
+from track_range.cli.commands.training.options import AnchorOptions, TrainOptions
 from track_range.cli.parameters import command
 from track_range.detection.training.errors import check_torch
 
 
 def _train(options: TrainOptions) -> None:
     check_torch()
-    from track_range.cli.commands.training.training_run import train  # imports PyTorch
+    from track_range.cli.commands.training.training_run import train
 
     train(options)
 
 
+def _anchors(options: AnchorOptions) -> None:
+    check_torch()
+    from track_range.cli.commands.training.data import print_anchors
+
+    print_anchors(options)
+
+
 app = command(TrainOptions, _train)
+anchors_app = command(AnchorOptions, _anchors)

@@ -25,7 +25,6 @@ from track_range.recording.telemetry.samples import (
     Unit,
     date_s,
     degrees,
-    in_known_unit,
     signed,
     track,
 )
@@ -78,8 +77,7 @@ def _track(samples: Sequence[Sample], unit: Unit) -> TelemetryTrack | None:
     is_steady = bool(np.isfinite(utc_s).all() and (np.diff(utc_s) >= 0).all() and utc_s[-1] - utc_s[0] < 2 * len(utc_s))
     time_s = utc_s - utc_s[0] if is_steady else np.arange(len(utc_s), dtype=float)
     timed = [sample.at(second) for sample, second in zip(samples, time_s.tolist(), strict=True)]
-    checked, notes = in_known_unit(timed, unit)
-    return track(checked, "LIGO GPS", notes=notes)
+    return track(timed, "LIGO GPS", unit=unit)
 
 
 def parse_ligo_text(content: bytes) -> Sample | None:

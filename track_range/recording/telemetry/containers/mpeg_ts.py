@@ -107,7 +107,6 @@ def _packets(file: BinaryIO, n_bytes: int) -> Iterator[tuple[int, npt.NDArray[np
 
 
 def _read(packets: npt.NDArray[np.uint8], scan: _Scan) -> None:
-    """Add the frames and private data of packets to a scan."""
     pids = (packets[:, 1] & 0x1F).astype(np.uint16) << 8 | packets[:, 2]
     has_payload, has_adaptation = (packets[:, 3] & 0x10) > 0, (packets[:, 3] & 0x20) > 0
     starts = np.where(has_adaptation, 5 + packets[:, 4].astype(np.int64), 4)  # of the payloads

@@ -17,7 +17,7 @@ from track_range.foundation.arrays import FloatArray
 from track_range.recording.telemetry.containers.free_gps import MAX_BLOCK_BYTES, parse_free_gps
 from track_range.recording.telemetry.containers.mp4_boxes import Movie, read_at
 from track_range.recording.telemetry.positions import MPS_PER_UNIT
-from track_range.recording.telemetry.samples import Sample, Unit, degrees, has_plausible_positions, in_known_unit, track
+from track_range.recording.telemetry.samples import Sample, Unit, degrees, has_plausible_positions, track
 from track_range.recording.telemetry.sidecars.nmea import has_rmc, rmc_samples
 from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
 
@@ -125,8 +125,7 @@ def track_of_blocks(blocks: Sequence[bytes], times_s: FloatArray, path: Path) ->
     samples = _timed((record.samples if record else () for record in records), times_s)
     if not has_plausible_positions(samples):  # encrypted by some makers
         samples = [sample._replace(latitude_deg=math.nan, longitude_deg=math.nan) for sample in samples]
-    checked, notes = in_known_unit(samples, unit)
-    return track(checked, "freeGPS records", notes=notes)
+    return track(samples, "freeGPS records", unit=unit)
 
 
 def _timed(groups: Iterable[Sequence[Sample]], times_s: FloatArray) -> list[Sample]:
@@ -148,5 +147,4 @@ def _seventymai_table(file: BinaryIO, movie: Movie) -> TelemetryTrack | None:
             position_deg = degrees(latitude / 1e3, north.decode()), degrees(longitude / 1e3, east.decode())
             speed_mps = speed / 1e3 * MPS_PER_UNIT["km/h"]
             samples.append(Sample(float(second), math.nan, speed_mps, math.nan, *position_deg))
-    checked, notes = in_known_unit(samples, "assumed")
-    return track(checked, "70mai", notes=notes) if samples else None
+    return track(samples, "70mai", unit="assumed")

@@ -45,7 +45,6 @@ def read_tesla(file: BinaryIO, movie: Movie, _path: Path) -> TelemetryTrack | No
 
 
 def _message(content: bytes, video: Track) -> Sample | None:
-    """The message in the start of a frame; None = there is none."""
     is_hevc = video.format in (b"hvc1", b"hev1")
     n_size, start = _size_bytes(video.description), 0
     while start + n_size + 3 <= len(content):

@@ -24,7 +24,6 @@ from track_range.recording.telemetry.samples import (
     Unit,
     date_s,
     degrees,
-    in_known_unit,
     on_receiver_clock,
     signed,
     track,
@@ -66,8 +65,7 @@ def _read_track(file: BinaryIO, movie: Movie, part: Track, path: Path) -> Teleme
     samples = [sample.at(time_s) for sample, time_s in zip(read, times_s, strict=True) if sample]
     if movie.video is None:
         samples = on_receiver_clock(samples)
-    checked, notes = in_known_unit(samples, form.unit)
-    return track(checked, form.name, notes=notes)
+    return track(samples, form.name, unit=form.unit)
 
 
 def _plain(content: bytes) -> bytes:

@@ -15,6 +15,7 @@ import numpy as np
 
 from track_range.foundation.files.input_files import first_line, read_text
 from track_range.foundation.files.numeric_text import numbers
+from track_range.recording.telemetry.samples import plain_track
 from track_range.recording.telemetry.track import MAX_SIDECAR_BYTES, TelemetryError, TelemetryTrack
 
 _N_CELLS = 10
@@ -44,16 +45,10 @@ def read_seventymai(path: Path, video: str, duration_s: float) -> TelemetryTrack
     is_timed = math.isfinite(start_s)
     has_fix = np.array([rows[i][1] == "A" for i in index.tolist()])
     lat, lon, course, speed = (np.where(has_fix, values[index, column], np.nan) for column in range(1, 5))
-    return TelemetryTrack(
-        time_s=values[index, 0] - (start_s if is_timed else 0.0),
-        speed_mps=np.abs(speed) * _SPEED_SCALE,
-        course_rad=np.radians(course * _COURSE_SCALE),
-        latitude_deg=lat,
-        longitude_deg=lon,
-        utc_s=values[index, 0],
-        source=path.name,
-        clock="video" if is_timed else "local",
-    )
+    utc_s = values[index, 0]
+    time_s = utc_s - (start_s if is_timed else 0.0)
+    samples = np.column_stack([time_s, utc_s, np.abs(speed) * _SPEED_SCALE, course * _COURSE_SCALE, lat, lon])
+    return plain_track(samples, path.name, "video" if is_timed else "local")
 
 
 def _start_s(seconds: np.ndarray, own: list[int], duration_s: float) -> float:

@@ -17,7 +17,7 @@ from track_range.foundation.files.csv_tables import CsvTable, read_csv_table
 from track_range.foundation.files.input_files import shortened
 from track_range.foundation.files.numeric_text import numbers
 from track_range.recording.telemetry.positions import MPS_PER_UNIT, speed_from_positions, speed_ratio, unit_of_ratio
-from track_range.recording.telemetry.samples import unit_in
+from track_range.recording.telemetry.samples import plain_track, unit_in
 from track_range.recording.telemetry.track import Clock, TelemetryError, TelemetryTrack
 
 _SPEED = re.compile(r"speed|velocity|(?<![a-z])v(?:el)?_(?:mps|kmh)")
@@ -76,16 +76,10 @@ def read_csv(path: Path) -> TelemetryTrack | None:
             )
         notes = (f"the speeds have no unit; compared with the positions they are in {unit}.",)
     course = _columns(table, _COURSE)
-    return TelemetryTrack(
-        time_s=time_s[known],
-        speed_mps=np.abs(values[known]) * MPS_PER_UNIT[unit],
-        course_rad=np.radians(table.numbers(course[0])[known]) if course else np.full(len(known), np.nan),
-        latitude_deg=latitude_deg[known],
-        longitude_deg=longitude_deg[known],
-        source=path.name,
-        clock=clock,
-        notes=notes,
-    )
+    course_deg = table.numbers(course[0]) if course else np.full(len(table), np.nan)
+    speed_mps = np.abs(values) * MPS_PER_UNIT[unit]
+    samples = np.column_stack([time_s, utc_s, speed_mps, course_deg, latitude_deg, longitude_deg])[known]
+    return plain_track(samples, path.name, clock, notes=notes)
 
 
 def _columns(table: CsvTable, name: re.Pattern[str], excluded: re.Pattern[str] | None = None) -> list[str]:

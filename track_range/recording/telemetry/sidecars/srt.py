@@ -49,7 +49,6 @@ def read_srt(path: Path) -> TelemetryTrack | None:
 
 
 def _track(texts: Sequence[str], times_s: Sequence[float], path: Path) -> TelemetryTrack | None:
-    """Telemetry of subtitles with their starts in seconds from the first frame."""
     sentences = fixes_in(texts, str(path))
     is_nmea = any(fix is not None for fix in sentences)
     samples = [fix or Sample() for fix in sentences] if is_nmea else [_sample(text) for text in texts]
@@ -83,7 +82,6 @@ def _cues(text: str) -> Iterable[tuple[float, str]]:
 
 
 def _sample(text: str) -> Sample:
-    """Speed and position in the text of a subtitle; NaN = none."""
     for ignored in _IGNORED:
         text = re.sub(ignored, " ", text, flags=re.IGNORECASE)
     speed_mps = math.nan

@@ -173,7 +173,6 @@ def _annotations(objects: Sequence[TrackObject], time: Timestamp) -> bytes:
 
 
 def _metadata(shown: TrackObject) -> list[fox.KeyValuePair]:
-    """Identity, class, whether the box is observed, and the known figures."""
     figures = {name: f"{value:.3f}" for name, value in shown.figures.items()}
     observed = "true" if shown.is_observed else "false"
     values = {"track_id": str(shown.track_id), "class": shown.class_name, "observed": observed, **figures}

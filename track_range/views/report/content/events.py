@@ -76,10 +76,7 @@ def shown_events(events: Sequence[Event]) -> tuple[Event, ...]:
 
 
 def clips_of(events: Sequence[Event], shown: Sequence[Event], addresses: Mapping[str, str]) -> list[str]:
-    """Addresses of the clips of the shown events, by those of all file names; "" = it has none.
-
-    `events` are all events, in the order of events.csv.
-    """
+    """Addresses of the clips of shown events, "" = none; `events` are all, in the order of events.csv."""
     numbers = {id(event): number for number, event in enumerate(events, 1)}
     names = (clip_name(numbers[id(event)], event.kind, event.track_id) for event in shown)
     return [addresses.get(name, "") for name in names]

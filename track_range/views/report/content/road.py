@@ -58,10 +58,7 @@ def uncalibrated_video(summary: Mapping[str, Any]) -> str | None:
 
 
 def box_columns(columns: Columns, summary: Mapping[str, Any]) -> dict[str, FloatArray]:
-    """Boxes of such a run in px, for the command that calibrates the camera by known distances; (N,) each.
-
-    Keys: `box_left`, `box_top`, `box_right`, `box_bottom`.
-    """
+    """(N,) `box_left`, `box_top`, `box_right` and `box_bottom` of such a run in px, for the calibration."""
     if uncalibrated_video(summary) is None or "x1_px" not in columns:
         return {}
     names = ("box_left", "box_top", "box_right", "box_bottom")
