@@ -63,10 +63,7 @@ def coverage_of(views: Sequence[BoardView], board_to_camera: FloatArray) -> Cove
 
 
 def view_shape(view: BoardView) -> FloatArray:
-    """(4,) x and y of the board's centre in the image, its size and its skew, each about 0 .. 1.
-
-    Skew is the deviation of the board's image from right angles and equal sides.
-    """
+    """(4,) x, y of the board's centre, size, and skew (from right angles and equal sides), each about 0 .. 1."""
     size_px, on_board = np.array(view.size_px), view.xyz_m[:, :2] / np.ptp(view.xyz_m[:, :2])
     x, y = view.xy_px.mean(axis=0) / size_px
     hull = cv2.convexHull(view.xy_px.astype(np.float32))

@@ -60,10 +60,7 @@ def fit_fisheye(
 def fit_fisheye_pair(
     pairs: Sequence[tuple[BoardView, BoardView]], starts: tuple[PinholeCamera, PinholeCamera]
 ) -> tuple[StereoRig, FloatArray]:
-    """Both cameras with their relative pose, from cameras that were fitted alone, and (V, 4, 4) board to left camera.
-
-    Raises CalibrationError if the pairs do not determine the rig.
-    """
+    """The rig, from cameras fitted alone, and (V, 4, 4) board to left camera; CalibrationError if undetermined."""
     views = [[pair[side] for pair in pairs] for side in (0, 1)]
     in_left, in_right = (
         np.stack([board_pose(camera, view) for view in side]) for camera, side in zip(starts, views, strict=True)

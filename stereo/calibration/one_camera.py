@@ -47,13 +47,12 @@ class CameraModel:
         return replace(self, start=fit_camera(views, self)[0]) if self.lens != PINHOLE else self
 
 
-DISTORTION_FLAGS: dict[int, int] = {
+DISTORTION_FLAGS: dict[int, int] = {  # by number: none; k1 k2 p1 p2; with k3; with k3 k4 k5 k6
     0: cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3,
     4: cv2.CALIB_FIX_K3,
     5: 0,
     8: cv2.CALIB_RATIONAL_MODEL,
 }
-"""OpenCV's flags by number of distortion coefficients: none; k1 k2 p1 p2; with k3; with k3 k4 k5 k6."""
 
 MIN_VIEWS = 5  # minimum number of views of a calibration with an error estimate; 10 to 30 are usual
 # A view is rejected if its residual exceeds both this multiple of the median and the median by this many sigmas.

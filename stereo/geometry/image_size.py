@@ -21,13 +21,12 @@ _ASPECT_TOLERANCE = 0.01  # largest relative difference of aspect ratios at whic
 # EuRoC, Cityscapes, nuScenes, TuSimple, OAK-D and others, 0.047 in one; 0.10 in Middlebury's crops. Above 0.07: doubt.
 _CENTRED, _OFF_CENTRE = 0.05, 0.07
 _USUAL_FOV_DEG = (20.0, 130.0)  # horizontal field of view of pinhole cameras for driving
-_COMMON_SIZES = (
+_COMMON_SIZES = (  # of images of cameras and data sets for driving, pixels
     *((640, 360), (848, 480), (960, 540), (1280, 720), (1600, 900), (1920, 1080), (2304, 1296), (2560, 1440)),
     *((2704, 1520), (3840, 2160), (640, 480), (800, 600), (1024, 768), (1280, 960), (1440, 1080), (1600, 1200)),
     *((2592, 1944), (1280, 800), (1920, 1200), (1928, 1208), (752, 480), (672, 376), (2208, 1242), (1164, 874)),
     *((1242, 375), (1408, 376), (1392, 512), (2048, 1024), (1762, 800)),
 )
-"""Usual sizes of images of cameras and data sets for driving, pixels."""
 
 _ANALOGUE_PX = (352, 704, 720, 960), (240, 288, 480, 576)  # widths and heights of digitised analogue video
 

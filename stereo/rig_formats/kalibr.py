@@ -70,7 +70,7 @@ class _Model(NamedTuple):
     lens: str
 
 
-_MODELS = (
+_MODELS = (  # a missing distortion_model is none
     _Model("pinhole", "radtan", 0, "pinhole"),
     _Model("pinhole", "none", 0, "pinhole"),
     _Model("pinhole", "equidistant", 0, "kannala-brandt"),
@@ -78,7 +78,6 @@ _MODELS = (
     _Model("omni", "none", 1, "omni"),
     _Model("ds", "none", 2, "double-sphere"),
 )
-"""Models that are read; a missing distortion_model is none."""
 
 
 def _read(text: str, source: object) -> RigCalibration:

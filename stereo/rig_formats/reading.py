@@ -35,13 +35,9 @@ def load_rig(
 ) -> tuple[StereoRig, tuple[str, ...]]:
     """The rig of a file, for images of `size_px` = (width, height), and notes for the user.
 
-    Raises RigError if the file cannot be read, is not a rig, has only one camera, is implausible or for other images.
-
-    Args:
-        path: a file in any of the formats, or a folder with ROS's camera_info of two cameras.
-        size_px: (width, height) of the images.
-        right_size_px: the same of the right images; None = `size_px`.
-        is_grey: whether to use the grey pair of a KITTI file that also has the colour pair.
+    `path` may be a folder with ROS's camera_info of two cameras; `right_size_px` None = `size_px`; `is_grey` chooses
+    the grey pair of a KITTI file. Raises RigError if the file cannot be read, is not a rig, has only one camera, is
+    implausible or for other images.
     """
     calibration = read_calibration(path, is_grey=is_grey, is_pair=True).of_size(size_px)
     if calibration.right is None or calibration.right_from_left is None:
@@ -121,10 +117,7 @@ def left_from_reference_m(path: Path, *, is_grey: bool, size_px: tuple[int, int]
 
 
 def mounting_of(path: Path) -> Mounting | None:
-    """Height and pitch of the single camera of a file, and the uncertainty of its focal length; None = not in it.
-
-    Raises RigError if the file cannot be read or is not a calibration.
-    """
+    """Height, pitch and focal uncertainty of the single camera of a file, None = not in it; RigError if unreadable."""
     return read_calibration(path, is_grey=False, is_pair=False).mounting
 
 

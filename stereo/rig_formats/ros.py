@@ -72,7 +72,7 @@ class _CameraFile(BaseModel):
     roi: _Region = _Region()
 
 
-_NAMES = {
+_NAMES = {  # those of `camera_calibration` for the keys of messages in ROS 1 and ROS 2
     "width": "image_width",
     "height": "image_height",
     **dict.fromkeys(("D", "d"), "distortion_coefficients"),
@@ -80,7 +80,6 @@ _NAMES = {
     **dict.fromkeys(("R", "r"), "rectification_matrix"),
     **dict.fromkeys(("P", "p"), "projection_matrix"),
 }
-"""Names of `camera_calibration` for the keys of messages in ROS 1 and ROS 2."""
 
 
 class _Camera(NamedTuple):

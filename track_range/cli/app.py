@@ -160,7 +160,6 @@ All commands and options:  {PROGRAM} --help
 Options of one command:    {PROGRAM} COMMAND --help
 Test of the installation:  {PROGRAM} doctor
 """
-"""Output without arguments."""
 
 _ROOT_OPTIONS = ("--version", "--install-completion", "--show-completion")
 

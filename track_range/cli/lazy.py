@@ -124,13 +124,9 @@ def _option_name(parameter: Any) -> str:
 
 
 class Lazy(NamedTuple):
-    """A command of a group.
+    """A command of a group, or a group of commands."""
 
-    `module` contains the command, or a group of commands, as a `typer.Typer` called `app`; "module:NAME" where it has
-    another name.
-    """
-
-    module: str
+    module: str  # with a `typer.Typer` called `app`; "module:NAME" where it has another name
     summary: str  # in the list of commands, and the first sentence of the command's help page
     description: str = ""  # paragraph below the summary on the help page
     examples: tuple[str, ...] = ()  # command lines at the end of the help page
@@ -157,10 +153,7 @@ class LazyGroup(HelpGroup):
 
 
 def lazy_app(modules: Mapping[str, Lazy], *, examples: tuple[str, ...] = (), **settings: Any) -> typer.Typer:
-    """A group of the commands in `modules`, in the order of the help page; `settings` are arguments of typer.Typer.
-
-    `examples` are those of a group that is not in another one.
-    """
+    """A group of the commands in `modules`; `examples`: of a group in no other one; `settings`: of typer.Typer."""
     group = type("Group", (LazyGroup,), {"modules": modules, "examples": examples})
     app = typer.Typer(cls=group, no_args_is_help=True, rich_markup_mode=None, **{"add_completion": False, **settings})
     for name, lazy in modules.items():

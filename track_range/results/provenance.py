@@ -16,13 +16,12 @@ from typing import Any, Self
 
 from track_range.foundation.schema_version import METADATA_PREFIX, SCHEMA_VERSION
 
-_NOT_HASHED = frozenset(
+_NOT_HASHED = frozenset(  # settings of the output files, which do not affect the rows
     (
         *("out", "table", "write", "mcap_profile", "mcap_images", "overlay", "clips", "keep_gps"),
         *("disparity", "overlay_disparity"),
     )
 )
-"""Settings of the output files, which do not affect the rows."""
 
 _MODEL = ("detector", "detections")
 _RIG = ("focal_px", "baseline_m", "image_size_px")

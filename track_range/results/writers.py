@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 DEFAULT_WRITERS = ("csv", "mot", "parquet")  # writers of a run without `--write`
 
-FILES_OF_WRITERS: Mapping[str, str] = {
+FILES_OF_WRITERS: Mapping[str, str] = {  # of this package, for help texts
     "csv": "tracks.csv",
     "mot": "mot.txt",
     "parquet": "tracks.parquet",
@@ -35,13 +35,11 @@ FILES_OF_WRITERS: Mapping[str, str] = {
     "mcap": "run.mcap, for Foxglove and ROS 2",
     "rrd": "run.rrd, for rerun",
 }
-"""Files of the writers in this package, by name, for help texts."""
 
-_RUN_FILES = (
+_RUN_FILES = (  # besides those of its writers
     *("summary.json", "settings.yaml", "progress.json", "overlay.mp4", "disparity.mp4", "report.html"),
     *("events.csv", "events.parquet", "telemetry.csv"),
 )
-"""Files that a run writes besides those of its writers."""
 
 
 class WriterError(UserError):
@@ -102,7 +100,7 @@ class ResultWriter(Protocol):
 
 WriterFactory = Callable[[], ResultWriter]  # function without arguments that returns a writer, usually its class
 
-WRITERS: Registry[WriterFactory | str] = Registry(
+WRITERS: Registry[WriterFactory | str] = Registry(  # imported on first use
     "track_range.result_writers",
     {
         "csv": "track_range.results.formats.csv_file:CsvWriter",
@@ -114,7 +112,6 @@ WRITERS: Registry[WriterFactory | str] = Registry(
         "rrd": "track_range.results.formats.rerun_file:RerunWriter",
     },
 )
-"""Writers by name, which are imported on first use."""
 
 
 def register_writer(name: str, factory: WriterFactory | str) -> None:
@@ -185,10 +182,7 @@ def create_writers(names: Sequence[str]) -> tuple[ResultWriter, ...]:
 
 
 def result_names() -> tuple[str, ...]:
-    """Names of all files that a run may write to its folder, with any writers.
-
-    Writers that cannot be used are skipped; they are reported by runs that choose them.
-    """
+    """Names of all files that a run may write to its folder, with any of the writers that can be used."""
     names: list[str] = []
     for name in WRITERS.names:
         with suppress(WriterError):

@@ -58,8 +58,7 @@ if TYPE_CHECKING:
 
     from track_range.run.option_types import PipelineKeywords
 
-Cameras = str | Path | StereoRig | PinholeCamera
-"""A calibration file, or the models of the cameras."""
+Cameras = str | Path | StereoRig | PinholeCamera  # a calibration file, or the models of the cameras
 
 
 class FrameError(UserError, ValueError):
@@ -166,15 +165,12 @@ class Pipeline:
         yaw_deg: float = 0.0,
         **options: Unpack[PipelineKeywords],
     ) -> MonoPipeline:
-        """A pipeline for the images of one camera; see `stereo` for the options.
+        """A pipeline for the images of one camera; see `stereo` for the other arguments.
 
         Args:
             focal_px: focal length of a camera without a calibration file; the principal point is the image centre.
             rig: calibration file, or the model of the camera (of a pair, the left one).
-            keep_s: time for which rows and events are kept.
-            fov_deg: horizontal field of view to which images of wide lenses are undistorted; None = that of the lens.
             yaw_deg: direction of the axis of the undistorted images of a wide lens, to the right of the lens axis.
-            options: as `stereo`.
 
         Raises:
             ConfigError: an option is unknown or invalid; or not exactly one of `focal_px` and `rig` is given.

@@ -332,7 +332,6 @@ def _region_of(track: TelemetryTrack | None) -> Region:
     if track is None:
         return "unknown"
     is_known = has_position(track.latitude_deg, track.longitude_deg)
-    latitude_deg, longitude_deg = track.latitude_deg[is_known], track.longitude_deg[is_known]
-    return (
-        region_at(float(np.median(latitude_deg)), float(np.median(longitude_deg))) if len(latitude_deg) else "unknown"
-    )
+    if not is_known.any():
+        return "unknown"
+    return region_at(float(np.median(track.latitude_deg[is_known])), float(np.median(track.longitude_deg[is_known])))

@@ -52,10 +52,7 @@ class KnownMetres:
 
 
 def known_metres(distances: Sequence[str], heights: Sequence[str], widths: Sequence[str]) -> tuple[KnownMetres, ...]:
-    """Measurements of objects from the texts of the options; those of equal time and box are of one object.
-
-    Raises UsageError if a text is not a measurement, or a value is not plausible.
-    """
+    """Measurements from texts of options, one object by time and box; UsageError for others and implausible ones."""
     known: dict[str, KnownMetres] = {}
     for flag, key, texts, limits in (
         ("--known-distance", "distance_m", distances, DISTANCE_M),

@@ -189,13 +189,12 @@ def _check_run() -> str:
     return ""
 
 
-CHECKS: Mapping[str, Callable[[], str]] = {
+CHECKS: Mapping[str, Callable[[], str]] = {  # what is wrong and what to do; "" = no problem
     "packages": _check_packages,
     "H.264 encoder": _check_codecs,
     "disk space": _check_disk,
     "short run": _check_run,
 }
-"""Functions that return what is wrong and what to do; "" = no problem."""
 
 
 def _outcome(check: Callable[[], str]) -> str:

@@ -29,11 +29,10 @@ class DamagedError(ValueError):
     """A record cannot be read; the text gives the reason."""
 
 
-DAMAGE = (
+DAMAGE = (  # errors of readers and decompressors in damaged files
     *(ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, OSError, RuntimeError, TypeError),
     *(ValueError, struct.error, sqlite3.DatabaseError),
 )
-"""Errors of readers and decompressors in damaged files."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -43,7 +43,7 @@ class KnownCamera(NamedTuple):
 
 _OPENPILOT = "openpilot, common/transformations/camera.py"
 
-KNOWN_CAMERAS = (
+KNOWN_CAMERAS = (  # the mode of a camera with several fields of view is part of its name
     KnownCamera("comma EON", 910.0 / 1164, _OPENPILOT),
     KnownCamera("comma three", 2648.0 / 1928, _OPENPILOT),
     KnownCamera(
@@ -60,7 +60,6 @@ KNOWN_CAMERAS = (
         sigma=_WIDE_SIGMA,
     ),
 )
-"""The known cameras; the mode of a camera with several fields of view is part of its name."""
 
 _FILM_DIAGONAL_MM = 43.27  # diagonal of 36 mm x 24 mm
 

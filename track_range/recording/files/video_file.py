@@ -61,13 +61,12 @@ _FORMATS = (
 No playlists and session descriptions (hls, concat, dash, sdp, ...), which make FFmpeg open other files or the network.
 """
 
-_OPTIONS = {
+_OPTIONS = {  # of FFmpeg, for opening a file
     "format_whitelist": _FORMATS,
     "protocol_whitelist": "file",
     "enable_drefs": "0",  # MP4: no tracks in other files
     "max_pixels": str(MAX_PIXELS),
 }
-"""FFmpeg's options for opening a file."""
 
 
 class VideoFile(RecordedVideo):

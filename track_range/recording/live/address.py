@@ -14,11 +14,10 @@ _NUMBER = re.compile(r"\d{1,3}")
 _LOW_LATENCY = {"fflags": "nobuffer", "flags": "low_delay", "analyzeduration": "2000000", "fpsprobesize": "2"}
 """FFmpeg options that disable buffering and limit the probing of a stream to 2 s."""
 
-_NETWORK = {
+_NETWORK = {  # FFmpeg's protocols of a stream: without files, which a playlist of the server may name
     "protocol_whitelist": "crypto,http,httpproxy,https,mmsh,mmst,rtmp,rtmpe,rtmps,rtmpt,rtmpte,rtmpts,ffrtmpcrypt,"
     "ffrtmphttp,rtp,srt,srtp,tcp,tls,udp"
 }
-"""FFmpeg's option for the protocols of a stream: without files, which a playlist of the server may name."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,7 +27,6 @@ VIDEO_SUFFIXES = frozenset(
     ".3g2 .3gp .asf .avi .dav .flv .h264 .h265 .hevc .insv .m2ts .m4v .mkv .mov .mp4 .mpeg .mpg .mts .mxf .ogv .ts "
     ".vob .webm .wmv".split()
 )
-"""Suffixes of the video files in a folder."""
 
 _MAX_FILES = 20_000  # of a recording: two weeks in files of a minute
 _N_NOTES = 5  # messages about single files

@@ -28,11 +28,10 @@ from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
 TIMEOUT_S = 20.0  # longest time in s that ExifTool may take; it reads files of unknown formats from start to end
 _MAX_OUTPUT_BYTES = 200_000_000  # size limit of ExifTool's output, bytes; an hour at 18 Hz has 25 MB
 
-_TAGS = (
+_TAGS = (  # `SampleTime` is the time in the video, s
     *("GPSDateTime", "GPSLatitude", "GPSLongitude", "GPSSpeed", "GPSSpeedRef", "GPSTrack", "GPSMeasureMode"),
     *("GPSStatus", "SampleTime", "SampleDuration"),
 )
-"""Tags that are read. `SampleTime` is the time in the video, s."""
 
 _KEY = re.compile(r"Doc(\d+)(?:-(\d+))?(?:-\d+)*:(\w+)")
 _UNITS = {"K": "km/h", "M": "mph", "N": "kn"}  # by GPSSpeedRef (Exif); without it, km/h is documented

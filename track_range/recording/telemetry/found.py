@@ -34,7 +34,7 @@ from track_range.recording.telemetry.video_clock import on_video_clock
 
 _MAX_NOTES = 3  # messages about telemetry that is not used
 
-READERS: tuple[Callable[[BinaryIO, Movie, Path], TelemetryTrack | None], ...] = (
+READERS: tuple[Callable[[BinaryIO, Movie, Path], TelemetryTrack | None], ...] = (  # in the order of their use
     read_gpmf,
     read_camm,
     read_novatek,
@@ -43,7 +43,6 @@ READERS: tuple[Callable[[BinaryIO, Movie, Path], TelemetryTrack | None], ...] = 
     read_ligogps,
     read_tesla,
 )
-"""Readers of MP4 and QuickTime files, in the order in which they are tried."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

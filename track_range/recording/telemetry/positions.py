@@ -82,10 +82,7 @@ def speed_from_positions(
 def speed_ratio(
     positions: TelemetryTrack | None, time_s: FloatArray, stated: FloatArray, n_min: int
 ) -> tuple[float | None, int]:
-    """Median ratio of speeds from positions to the (N,) stated ones, in any unit, and the number of moving samples.
-
-    None = fewer than `n_min` samples, or moving ones.
-    """
+    """Median ratio of speeds from positions to stated ones (N,), None = below `n_min`; and number of moving samples."""
     known = np.flatnonzero(np.isfinite(time_s) & np.isfinite(stated))
     if positions is None or not len(known):
         return None, 0

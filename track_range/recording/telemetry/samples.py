@@ -25,13 +25,12 @@ _PACE_TOLERANCE = 0.1  # largest relative difference between the pace of a track
 _MAX_SPEED_MPS = 120.0  # largest plausible speed, as in the checks of telemetry
 _COURSE_AGREEMENT = 0.3  # largest difference to the stated speed at which the course from positions is used
 
-_UNITS = (
+_UNITS = (  # notations, in the order in which they are looked for
     ("km/h", re.compile(r"km\s?/?\s?h|kmph|kph|km\s?/\s?hr", re.IGNORECASE)),
     ("mph", re.compile(r"mph|mi\s?/\s?h|miles", re.IGNORECASE)),
     ("m/s", re.compile(r"m\s?/\s?s|mps|m\s?s-1|meters?_?\s?per|metres?_?\s?per", re.IGNORECASE)),
     ("kn", re.compile(r"knots?|(?<![a-z])k[nt]s?(?![a-z])", re.IGNORECASE)),
 )
-"""Notations of the units, in the order in which they are looked for."""
 
 
 class Sample(NamedTuple):

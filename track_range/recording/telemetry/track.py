@@ -28,10 +28,7 @@ _MARGIN_S = 1.0  # time before the first and after the last frame of which sampl
 
 
 class TelemetryError(UserError):
-    """Telemetry that cannot be used; the message gives the file and the reason.
-
-    An error for a file that the user named; a note of the run for a file that was found automatically.
-    """
+    """Telemetry that cannot be used, and why; a note of the run for a file that was found automatically."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -18,11 +18,10 @@ from track_range.foundation.arrays import FloatArray
 from track_range.recording.recorded_video import VideoPart
 from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
 
-ZONES_H = (
+ZONES_H = (  # differences between local times and UTC in use, hours
     *(float(hours) for hours in range(-12, 15)),
     *(-9.5, -3.5, -2.5, 3.5, 4.5, 5.5, 5.75, 6.5, 8.75, 9.5, 10.5, 12.75, 13.75),
 )
-"""Differences between local times and UTC in hours that are in use."""
 
 _VIDEO_SIGMA_S = 0.5  # standard deviation of the times of GPS samples within a video, s: receivers lag by 0.2 to 1 s
 _CLOCK_SIGMA_S = 1.0  # standard deviation of the difference between two clocks that state whole seconds, s

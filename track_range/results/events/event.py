@@ -55,10 +55,7 @@ EVENT_COLUMNS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EventSettings:
-    """Thresholds of the events; definitions, not fitted.
-
-    `min_critical_s`: shortest duration of a hard approach or near miss; shorter ones are errors of single frames.
-    """
+    """Thresholds of the events; definitions, not fitted."""
 
     front_m: float = 1.5  # distance from the camera to the front of the ego vehicle
     max_gap_s: float = 1.0  # longest interruption of an event; tracks of one object with a shorter gap are merged
@@ -68,7 +65,7 @@ class EventSettings:
     cut_in_headway_s: float = 1.0  # headway below which a vehicle that enters the ego path cuts in
     cut_in_s: float = 4.0  # time after which a vehicle that has entered the path no longer cuts in
     hard_approach_mps2: float = 4.0  # deceleration needed to avoid a contact above which an approach is hard
-    min_critical_s: float = 0.2
+    min_critical_s: float = 0.2  # shortest hard approach or near miss; shorter ones are errors of single frames
     near_miss_ttc_s: float = 1.0  # time to collision below which an avoided contact is a near miss
     near_miss_probability: float = 0.5  # smallest probability of contact of a near miss
     near_miss_gap_m: float = 0.5  # smallest gap that is left after a near miss; a smaller one may be a contact

@@ -55,7 +55,7 @@ _TIME = _Number("s", 0.0, _MAX_TIME_S)
 _SPEED = _Number("m/s", -1e4, 1e4)
 _DISTANCE = _Number("m", 0.0, 1e6)
 
-_NUMBERS: Mapping[str, _Number] = {
+_NUMBERS: Mapping[str, _Number] = {  # all other columns are texts
     "start_s": _TIME,
     "peak_s": _TIME,
     "end_s": _TIME,
@@ -71,7 +71,6 @@ _NUMBERS: Mapping[str, _Number] = {
     "headway_s": _TIME,
     "scale_in_doubt": _Number("", 0, 1, is_integer=True),
 }
-"""Columns of numbers; all others are texts."""
 
 
 class EventFiles:

@@ -160,10 +160,7 @@ def read_tracks_parquet(path: Path) -> Columns:
 
 
 def read_tracks_arrows(path: Path) -> tuple[Columns, bool]:
-    """Columns of the complete frames of a tracks.arrows, and whether it ends within a frame.
-
-    OutputError if the file cannot be read, is not of a run, or was written by a newer version.
-    """
+    """Columns of the complete frames of a tracks.arrows, and whether it ends within one; errors as of Parquet."""
     import pyarrow as pa
 
     errors: list[Exception] = []

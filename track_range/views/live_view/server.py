@@ -51,22 +51,20 @@ _SEND_BUFFER_BYTES = 1 << 18
 _POLL_S = 0.1  # between checks of whether the server is to end
 _DISCONNECT_POLL_S = 1.0  # between checks of whether a viewer who waits for a picture has disconnected
 
-_HEADERS = {
+_HEADERS = {  # of every answer, besides the Content-Security-Policy
     "Cache-Control": "no-store",
     "Cross-Origin-Resource-Policy": "same-origin",
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
 }
-"""Headers of every answer, in addition to the Content-Security-Policy."""
 
-_REFUSAL = (
+_REFUSAL = (  # of a connection for which there is no thread
     "HTTP/1.0 503 Service Unavailable\r\nContent-Type: text/plain; charset=utf-8\r\n"
     + "".join(f"{name}: {value}\r\n" for name, value in _HEADERS.items())
     + "Content-Security-Policy: default-src 'none'\r\nConnection: close\r\n\r\n"
     "Too many connections.\n"
 ).encode()
-"""Answer to a connection for which there is no thread."""
 
 LOOPBACK = "127.0.0.1"
 

@@ -145,10 +145,7 @@ def corner_lines(
 
 
 class TextRenderer:
-    """Draws text in OpenCV's built-in font on a darkened background; not thread-safe.
-
-    The widths of texts are cached, because most texts recur (names, legend, distances).
-    """
+    """Draws text in OpenCV's built-in font on a darkened background; not thread-safe."""
 
     def __init__(self) -> None:
         self._font = cv2.FontFace("sans")

@@ -50,7 +50,7 @@ _TRACK_COLUMNS: tuple[ColumnSpec, ...] = (
     ("ID switches", "idsw", "{:.0f}", 1, float),
 )
 
-_METHOD_GRIDS = (
+_METHOD_GRIDS = (  # title, key in a method's row, format, scale and cost
     ("Median distance error on own coverage, %", "median_relative_error_pct", "{:.2f}", 1.0, abs),
     ("Mean distance error, %", "mean_relative_error_pct", "{:.2f}", 1.0, abs),
     ("Bias, %", "bias_pct", "{:+.2f}", 1.0, abs),
@@ -63,7 +63,6 @@ _METHOD_GRIDS = (
         tables.from_normal(tables.WITHIN_1_SIGMA),
     ),
 )
-"""Title, key in a method's row, format, scale and cost of each table of methods."""
 
 _OMITTED = ("out", "versions")  # settings that do not affect the results
 

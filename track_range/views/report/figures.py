@@ -85,10 +85,7 @@ def curve_picture(classes: Mapping[str, tuple[FloatArray, FloatArray, Sequence[C
 
 
 def risk_coverage_chart(curves: Mapping[str, Sequence[Mapping[str, Any]]], path: Path) -> None:
-    """Draw failures, mean and 95th percentile of the error against the fraction of answered boxes, as SVG or PNG.
-
-    `curves`: by name the rows of a curve, as from `risk_coverage`.
-    """
+    """Draw errors of answered boxes over their fraction, from rows of `risk_coverage` by name, as SVG or PNG."""
     panels = (
         ("failures_pct", "failures, %"),
         ("mean_relative_error_pct", "mean error, %"),

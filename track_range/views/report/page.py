@@ -54,11 +54,10 @@ from track_range.views.report.sentences import (
 )
 from track_range.views.report.tables import accuracy_grids, mot_grid, speed_grids, stage_bars
 
-_SCRIPTS = (
+_SCRIPTS = (  # in the order of their execution
     *("elements", "theme_and_tables", "drawing", "tracks", "birds_eye"),
     *("timeline", "playback", "known_distances", "run_charts", "start"),
 )
-"""Parts of the script of all pages, in the order of their execution."""
 
 
 def write_report(

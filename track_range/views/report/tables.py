@@ -37,15 +37,12 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """A table, independent of its rendering: headings of columns, and rows of cells, the first of which names the row.
-
-    `has_sentences`: whether cells are sentences, which are wrapped.
-    """
+    """A table, independent of its rendering: headings of columns, and rows of cells, each named by its first cell."""
 
     title: str
     columns: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
-    has_sentences: bool = False
+    has_sentences: bool = False  # whether cells are sentences, which are wrapped
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,10 +229,7 @@ def speed_grids(summary: Summary) -> list[Grid]:
 
 
 def speed_grid(summary: Summary) -> Grid:
-    """One row per stage that ran, and one for the whole run (wall clock).
-
-    Detection and background work are measured in wall-clock time, the other stages in processor time.
-    """
+    """Rows of stages that ran, in processor time (detection and background in wall-clock time), and of the run."""
     stages = stages_that_ran(summary)
     fps = frames_per_s(summary)
     if fps:

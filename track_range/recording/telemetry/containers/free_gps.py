@@ -87,21 +87,19 @@ def _spread_doubles(start: int) -> _Layout:
     )  # fmt: skip
 
 
-_AKASO = _Layout(
+_AKASO = _Layout(  # flags as separate words, and the hemispheres after each coordinate
     clock=0x30, date=0x58, status=0x3C, north=0x44, east=0x4C, latitude=0x40, longitude=0x48, speed=0x50, course=0x54,
     marks=rb"[AV]\0{3}.{4}[NS]\0{3}.{4}[EW]\0{3}", is_dated=False, unit="assumed", mps=MPS_PER_UNIT["km/h"],
     reversal=b"x.xx", is_like=lambda block: _is_clock(*struct.unpack_from("<3I", block, 0x30)),
 )  # fmt: skip
-"""Flags as separate words, and the hemispheres after each coordinate."""
 
 _VANTRUE_S1 = _Layout(
     clock=0x50, date=0x44, status=0x40, north=0x41, east=0x42, latitude=0x60, longitude=0x5C, speed=0x64, course=0x68
 )
-_ENCRYPTED = _compact(0x30)._replace(
+_ENCRYPTED = _compact(0x30)._replace(  # Akaso V1 and Redtiger
     latitude=0, longitude=0, speed=0x60, course=0, unit="unknown", mps=MPS_PER_UNIT["km/h"],
     is_like=lambda block: block[0x48:0x49] != b"V" and block[0x4B:0x50] == bytes(5) and any(block[0x50:0x60]),
 )  # fmt: skip
-"""Akaso V1 and Redtiger."""
 
 
 def _fixed(layout: _Layout, block: bytes) -> FreeGps | None:
@@ -243,7 +241,7 @@ def _ligo(block: bytes) -> FreeGps | None:
     return FreeGps((sample,), "assumed") if sample else None
 
 
-_LAYOUTS: tuple[Callable[[bytes], FreeGps | None], ...] = (
+_LAYOUTS: tuple[Callable[[bytes], FreeGps | None], ...] = (  # the most specific first
     _xor_text,
     _ligo,
     partial(_fixed, _text_compact(0x10)),
@@ -262,4 +260,3 @@ _LAYOUTS: tuple[Callable[[bytes], FreeGps | None], ...] = (
     _seventymai,
     _nextbase,
 )
-"""Readers of the layouts, the most specific first."""

@@ -161,7 +161,7 @@ class _Form(NamedTuple):
 
 
 _RMC = _Form(_has_rmc, "NMEA subtitles")
-_FORMS = (
+_FORMS = (  # in the order in which they are tried
     _RMC,
     _Form(_garmin, "Garmin dashcam"),
     _Form(_dji, "DJI subtitles"),
@@ -170,4 +170,3 @@ _FORMS = (
     _Form(_kingslim, "Kingslim dashcam"),
     _Form(_rove, "SigmaStar dashcam"),
 )
-"""Known forms, in the order in which they are tried."""

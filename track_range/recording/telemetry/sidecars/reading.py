@@ -28,7 +28,7 @@ class Sidecar(NamedTuple):
     name: str = ""  # of a file that does not have the name of the video
 
 
-SIDECARS = (
+SIDECARS = (  # in the order in which their files are looked for, and in which a file is tried
     Sidecar((".gpx",), lambda path, video, duration_s: read_gpx(path)),
     Sidecar((".nmea",), lambda path, video, duration_s: read_nmea(path)),
     Sidecar((".srt",), lambda path, video, duration_s: read_srt(path)),
@@ -36,7 +36,6 @@ SIDECARS = (
     Sidecar((".txt", ".gps"), read_seventymai, name="GPSData000001.txt"),
     Sidecar((".txt", ".gps"), lambda path, video, duration_s: read_nmea(path)),
 )
-"""All formats, in the order in which their files are looked for, and in which a file is tried."""
 
 SUFFIXES = tuple(dict.fromkeys(suffix for sidecar in SIDECARS for suffix in sidecar.suffixes))
 

@@ -19,12 +19,11 @@ from track_range.recording.telemetry.track import MAX_SIDECAR_BYTES, TelemetryEr
 _CUE = re.compile(r"(\d{1,3}):(\d\d):(\d\d)[,.](\d{1,3})\s*-->")
 
 _UNIT = r"(?:km\s?/\s?h|kmh|kmph|kph|mph|mi/h|m/s|knots?|kn|kt)(?![a-z²^]|\s?2\b)"
-_IGNORED = (
+_IGNORED = (  # no speeds of the camera; each is removed before the next is looked for
     r"<[^<>]{0,200}>",  # formatting
     r"\b[VW]\.?S\.?\s*:?\s*[-+]?[\d.]+\s*m/s",  # vertical speed or wind of a drone
     r"\b(?:limit|wind|max(?:imum)?|avg|average|target|set)\b[^\d\n]{0,12}[-+]?[\d.,]+\s?" + _UNIT,
 )
-"""Parts that hold no speed of the camera; each is removed before the next is looked for."""
 
 _HORIZONTAL = r"\bH\.?S\.?\s*:?\s*([\d.]{1,10})\s*m/s"
 _WITH_UNIT = rf"(?<![\d.,])(\d{{1,3}}(?:[.,]\d{{1,6}})?)\s?({_UNIT})"

@@ -30,7 +30,7 @@ CALIBRATION, IMAGE, LOG = "/camera/camera_info", "/camera/image/compressed", "/r
 
 _DETECTION = "std_msgs/Header header\nvision_msgs/ObjectHypothesisWithPose[] results\nvision_msgs/{} bbox\nstring id"
 
-_VISION_MESSAGES = {
+_VISION_MESSAGES = {  # of vision_msgs 4 (ROS 2 Humble and later), which rosbags does not contain
     "Point2D": "float64 x\nfloat64 y",
     "Pose2D": "vision_msgs/Point2D position\nfloat64 theta",
     "BoundingBox2D": "vision_msgs/Pose2D center\nfloat64 size_x\nfloat64 size_y",
@@ -42,7 +42,6 @@ _VISION_MESSAGES = {
     "Detection2DArray": "std_msgs/Header header\nvision_msgs/Detection2D[] detections",
     "Detection3DArray": "std_msgs/Header header\nvision_msgs/Detection3D[] detections",
 }
-"""Fields of vision_msgs 4 (ROS 2 Humble and later), which rosbags does not contain."""
 
 _TYPES = {
     CALIBRATION: "sensor_msgs/msg/CameraInfo",

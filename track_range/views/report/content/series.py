@@ -30,7 +30,7 @@ _DEFAULT_FRAME_S = 0.1  # duration of a frame in s if the rows do not determine 
 TICKS_PER_S, TICKS_PER_M, TICKS_PER_MPS, TICKS_PER_TTC_S = 1000.0, 100.0, 10.0, 100.0
 """Resolution of times, distances, speeds and times to collision."""
 
-_SERIES = (
+_SERIES = (  # column, key in the page and resolution, besides the distances
     ("truth_m", "truth", TICKS_PER_M),
     ("closing_mps", "closing", TICKS_PER_MPS),
     ("road_x", "x", TICKS_PER_M),
@@ -46,7 +46,6 @@ _SERIES = (
     ("box_right", "x2", 1.0),
     ("box_bottom", "y2", 1.0),
 )
-"""Column, key in the page and resolution of the series of a track besides its distances."""
 
 
 def column(columns: Columns, name: str) -> FloatArray:
