@@ -195,8 +195,7 @@ def _fitted_pinholes(pairs: Sequence[ViewPair], models: Models) -> tuple[StereoR
     right_from_left[:3, :3], right_from_left[:3, 3] = r, np.asarray(t).ravel()
     left = camera_of(m1, d1, pairs[0][0].size_px, n_distortion_coefficients)
     right = camera_of(m2, d2, pairs[0][1].size_px, n_distortion_coefficients)
-    rig = StereoRig(left, right, right_from_left)
-    return rig, np.stack(list(map(pose_of, rvecs, tvecs)))
+    return StereoRig(left, right, right_from_left), np.stack(list(map(pose_of, rvecs, tvecs)))
 
 
 def _camera_calibration(camera: PinholeCamera, fits: Sequence[ViewFit], std: FloatArray) -> CameraCalibration:

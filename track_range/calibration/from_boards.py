@@ -191,8 +191,7 @@ def _warnings(search: BoardSearch, cameras: Mapping[str, CameraCalibration]) -> 
                 "the lens model is extrapolated beyond the corners; show the board near the edges, and use at most "
                 f"--fov-deg {2 * reach_deg:.0f}."
             )
-    cameras_px = [calibration.camera for calibration in cameras.values()]
-    sizes = {f"{camera.width_px}x{camera.height_px} px" for camera in cameras_px}
+    sizes = {f"{one.camera.width_px}x{one.camera.height_px} px" for one in cameras.values()}
     if len(sizes) > 1:
         warnings.append(
             f"images of the two cameras differ in size ({', '.join(sorted(sizes))}); a run needs videos of equal size."

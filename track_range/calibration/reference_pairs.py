@@ -84,13 +84,14 @@ def known_pairs(recording: Recording, rig: StereoRig, known: KnownObjects) -> It
         )
 
 
-def read_drive(folder: Path, *, rig: Path | None = None) -> Iterator[StereoPair]:
+def read_drive(folder: Path, *, rig: Path | None = None, row_offset_px: float = 0.0) -> Iterator[StereoPair]:
     """The pairs of a drive in order of time, named by frame; pairs without evaluated objects are included.
 
-    `rig` is a rig file, None = the one in the folder. Raises VideoError, RigError, LabelFileError or PairFileError if
-    videos, rig or labels cannot be used.
+    `rig` is a rig file, None = the one in the folder; `row_offset_px`, y_right - y_left, is corrected in the right
+    images. Raises VideoError, RigError, LabelFileError or PairFileError if videos, rig or labels cannot be used.
     """
-    recording, rectified = open_pair(folder / LEFT, folder / RIGHT, rig, align=Alignment())
+    rows = Alignment(row_offset_px=row_offset_px)
+    recording, rectified = open_pair(folder / LEFT, folder / RIGHT, rig, align=rows)
     with closing(recording):
         labels = next((folder / name for name in LABELS if (folder / name).is_file()), None)
         if labels is None:

@@ -52,10 +52,6 @@ class Provenance:
             utc=utc if isinstance(utc, Mapping) else {},
         )
 
-    def section(self) -> dict[str, Any]:
-        """Values for summary.json."""
-        return {"schema_version": SCHEMA_VERSION, "settings_hash": self.settings_hash}
-
     def metadata(self) -> dict[str, str]:
         """Values as text with the prefix `track_range.`, for the metadata of files; mappings as JSON."""
         values = {

@@ -81,10 +81,6 @@ class RunTable:
         batches = [*([] if self._file is None else self._file.batches()), self._buffered()]
         return pa.Table.from_batches([rounded_batch(b, self.columns) for b in batches] if is_rounded else batches)
 
-    def to_pandas(self) -> Any:
-        """Rows so far as a `pandas.DataFrame`; ImportError without pandas."""
-        return self.to_arrow().to_pandas()
-
     def to_columns(self, *, is_rounded: bool = True) -> dict[str, npt.NDArray[Any]]:
         """Rows so far as `track_range.results.columns.Columns`, equal to those of tracks.csv or in full precision."""
         table = self.to_arrow(is_rounded=False)

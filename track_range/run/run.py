@@ -363,7 +363,7 @@ class Run:
         Raises:
             ImportError: pandas is not installed.
         """
-        return self.session.rows.table.to_pandas()
+        return self.to_arrow().to_pandas()
 
     def _repr_html_(self) -> str:
         """Representation in notebooks: the videos, and the main results of a finished run."""

@@ -20,6 +20,7 @@ from track_range.calibration.road.from_road import focal_from_video
 from track_range.detection.detector import ObjectDetector
 from track_range.detection.yolo.detector import YoloDetector
 from track_range.foundation.progress import StepProgress
+from track_range.foundation.schema_version import SCHEMA_VERSION
 from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.threads import LIVE_DEPTHS, run_in_threads
 from track_range.pipeline.throughput import FrameMeter
@@ -318,7 +319,8 @@ class RunSession:
             "inputs": self.inputs,
             "files": dict(videos),
             "versions": _versions(),
-            **self.provenance.section(),
+            "schema_version": SCHEMA_VERSION,
+            "settings_hash": self.provenance.settings_hash,
         }
         return summary, columns if matched is None else with_truth(columns, matched)
 

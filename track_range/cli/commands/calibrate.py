@@ -72,8 +72,7 @@ def _calibrate_on_road(settings: CalibrationSettings) -> None:
     from track_range.run.ready_model import ready_model
 
     def open_detect() -> Detect:
-        path = ready_model(settings.detector or DEFAULT_MODEL, console)
-        network = open_detector(path, DetectorOptions())
+        network = open_detector(ready_model(settings.detector or DEFAULT_MODEL, console), DetectorOptions())
         return lambda frame: network.detect(frame.left)
 
     calibration = calibrate_on_road(settings, open_detect, partial(step_progress, console))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 import sqlite3
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
 from urllib.parse import quote
@@ -80,12 +80,9 @@ class SqliteFile:
         """Connection that reads the file, with the journal that a recorder left that was killed."""
         address = f"file:{quote(str(self.path.absolute()))}?mode=ro"
         if Path(f"{self.path}-wal").exists():
-            try:
+            with suppress(sqlite3.DatabaseError):  # such as a folder without write permission
                 database = sqlite3.connect(address, uri=True)
                 database.execute("SELECT id FROM topics").fetchall()
-            except sqlite3.DatabaseError:  # such as a folder without write permission
-                pass
-            else:
                 return database
         database = sqlite3.connect(f"{address}&immutable=1", uri=True)
         # otherwise SQLite refuses a file that is shorter than its header states, such as one that is cut off

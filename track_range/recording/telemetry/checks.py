@@ -86,8 +86,7 @@ def _check_clock(track: TelemetryTrack) -> None:
 
 def _after_cold_start(track: TelemetryTrack) -> TelemetryTrack | None:
     """The track from its first dated sample with a fix on; None = it starts with one, or the fix is not stable."""
-    is_dated = ~(track.utc_s < _FIRST_DATE_S)
-    has_fix = np.isfinite(track.speed_mps) & is_dated
+    has_fix = np.isfinite(track.speed_mps) & ~(track.utc_s < _FIRST_DATE_S)
     if has_fix[0] or not has_fix.any():
         return None
     first = int(np.argmax(has_fix))

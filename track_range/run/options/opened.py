@@ -46,8 +46,7 @@ def open_detector(path: Path, options: DetectorOptions, *, lowest_score: float |
 
     ModelError: the model cannot be used; ClassNameError: a class is unknown; ConfigError: invalid names or thresholds.
     """
-    default = YoloSettings()
-    min_score, by_class = thresholds(options.min_score, otherwise=default.min_score)
+    min_score, by_class = thresholds(options.min_score, otherwise=YoloSettings().min_score)
     settings = YoloSettings(
         min_score=min_score if lowest_score is None else lowest_score,
         class_min_score=by_class if lowest_score is None else (),

@@ -70,8 +70,7 @@ def _calibrate_scores(options: CalibrateScoresOptions) -> None:
     check_attributes(path, options.out)
     detector = open_detector(path, replace(DetectorOptions.of(options), device="cpu", min_score=str(LOWEST_SCORE)))
     score_outputs(detector)
-    source = LabelledSource.of(options)
-    frames = source.open()
+    frames = LabelledSource.of(options).open()
     detections: list[Detections] = []
     truth: list[ImageTruth] = []
     with frame_progress(console, frames.n_images) as advance:
