@@ -82,7 +82,6 @@ class _FleetRun:
         self._table = ClipTable(plan.out)
 
     def run(self, process: Process) -> FleetResult:
-        """Process the clips."""
         state = self._state
         self._write_state("running")
         try:
@@ -148,7 +147,6 @@ class _FleetRun:
 
 
 def _options(plan: FleetPlan) -> dict[str, Any]:
-    """Options of the fleet and of its runs, as plain values."""
     own = plan.settings.model_dump(mode="json", exclude_none=True)
     own["recordings"] = own["recordings"][:10]
     plain = (str, int, float, bool, list, dict, type(None))

@@ -29,10 +29,8 @@ _MAX_BATCH = 8  # crops; on a CPU, OSNet takes 3.0 ms per crop with 8, 7.7 ms wi
 class ReidModel:
     """Computes appearance embeddings with a re-identification network.
 
-    Attributes:
-        max_cosine_distance: see `AppearanceModel`. 0.27 was chosen for OSNet x0.25 on KITTI 0003 and 0005 and simulated
-            drives: 0 to 10 % of the pairs of the same object are rejected, 0 to 16 % of different objects accepted.
-        input_hw: (height, width) that crops are resized to.
+    The default `max_cosine_distance` was chosen for OSNet x0.25 on KITTI 0003 and 0005 and simulated drives: 0 to 10 %
+    of the pairs of the same object are rejected, 0 to 16 % of different objects accepted.
     """
 
     def __init__(self, model: Path, runtime: Runtime | None = None, *, max_cosine_distance: float = 0.27) -> None:
@@ -46,7 +44,7 @@ class ReidModel:
                 f"{model}: expected one input [batch, 3, height, width], found "
                 f"{_shape_text(self._session.input_shape)}; use a re-identification network."
             )
-        self.input_hw = (height or OPEN_INPUT_HW[0], width or OPEN_INPUT_HW[1])
+        self.input_hw = (height or OPEN_INPUT_HW[0], width or OPEN_INPUT_HW[1])  # to which crops are resized
         self._fixed_batch = batch
         # Two images reveal a network that declares a dynamic batch size but mixes up its rows.
         self.n_values = self._run(np.zeros((batch or 2, 3, *self.input_hw), np.float32)).shape[1]

@@ -51,11 +51,6 @@ class IgnoreRegions:
         check_shape("frame", self.frame, (len(self.frame),))
         check_shape("xyxy_px", self.xyxy_px, (len(self.frame), 4))
 
-    @classmethod
-    def none(cls) -> IgnoreRegions:
-        """No regions."""
-        return cls(np.zeros(0, np.int64), np.zeros((0, 4)))
-
 
 @dataclass(frozen=True, slots=True)
 class Similarity:

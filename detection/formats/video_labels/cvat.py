@@ -197,7 +197,6 @@ class _Content:
         self.boxes.append([len(self.tracks) - 1, frame, edges, outside, is_keyframe, *figures])
 
     def video_facts(self) -> VideoFacts:
-        """Name, number of frames and image size of the task."""
         sides = [number(self.meta.get(f"original_size/{name}", "")) for name in ("width", "height")]
         is_size = all(1 <= side <= MAX_SIDE_PX and side % 1 == 0 for side in sides)
         last = self._integer_of_meta("stop_frame")

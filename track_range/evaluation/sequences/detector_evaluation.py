@@ -182,7 +182,6 @@ def _figures(candidate: Candidate, scores: dict[str, DetectionScores]) -> dict[s
 def _details(
     candidate: Candidate, truth: Sequence[ImageTruth], working_score: FloatArray, *, min_height_px: float
 ) -> dict[str, Any]:
-    """Results of one model by size of object, and the calibration of its scores."""
     detections, known = candidate.detections[: len(truth)], candidate.detector.known_class_id
     by_size = {}
     for measure in SIZE_BINS:

@@ -115,7 +115,6 @@ class _ClipRun:
             return self._failure("internal", error)
 
     def failed(self, kind: str, message: str) -> dict[str, Any]:
-        """Row of the clip with an error."""
         text = printable(" ".join(self._with_names(message).split()))[:_MAX_ERROR]
         return self._with_times(replace(self._record, status="failed", error=text, error_kind=kind)).row()
 

@@ -54,7 +54,6 @@ class _Check:
     notes: list[str] = field(default_factory=list)
 
     def result(self) -> CheckedClip:
-        """The properties of the clip."""
         properties: dict[str, Any] = {}
         try:
             if self.clip.problem:

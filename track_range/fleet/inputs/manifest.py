@@ -70,7 +70,6 @@ class _Manifest:
         self._values: dict[tuple[str, str], str] = {}
 
     def clips(self) -> list[Clip]:
-        """The clip of each row."""
         rows = zip(*self._cells, strict=True)
         return [self._clip(row, dict(zip(self._columns, texts, strict=True))) for row, texts in enumerate(rows)]
 

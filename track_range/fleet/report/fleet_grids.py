@@ -252,7 +252,6 @@ def _text_grid(title: str, rows: Sequence[Figures], headings: tuple[str, ...]) -
 
 
 def _work_grids(figures: Figures) -> list[Grid]:
-    """Throughput of all clips, by node, and by stage."""
     work = columns_of([figures], [("clips/h", "clips_per_hour", "{:.0f}"), *_WORK_COLUMNS])
     node_columns = (("clips", "clips", "{:.0f}"), *_WORK_COLUMNS, *_MEMORY_COLUMNS)
     stages_ms = figures["stages_ms"]

@@ -140,7 +140,6 @@ class _Rows:
         return self._columns.get(name, self._unknown)
 
     def count_tracks(self, figures: TrackFigures) -> None:
-        """Add the tracks by class and hour."""
         ends = np.append(self.starts[1:], len(self.track)) - 1
         visible_s = self.time_s[ends] - self.time_s[self.starts]
         utc_s = self._column("utc")[self.starts]
@@ -149,7 +148,6 @@ class _Rows:
             figures.n_by_hour[int(utc // 3600 % 24) if np.isfinite(utc) else None, name] += 1
 
     def count_coverage(self, figures: TrackFigures) -> None:
-        """Add the boxes and the distances of each method by distance band."""
         rows = self.observed & np.isfinite(self.distance_m)
         band = np.searchsorted(EDGES_M, self.distance_m[rows], side="right") - 1
         figures.n_boxes.update(band.tolist())

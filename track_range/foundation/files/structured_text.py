@@ -43,7 +43,6 @@ class _Loader(_BaseLoader):  # type: ignore[misc]
     }
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
-        """The value of a node."""
         type_name = str(node.tag).rpartition(":")[2]
         try:
             if type_name in ("int", "float") and len(node.value) > _MAX_DIGITS:
@@ -54,7 +53,6 @@ class _Loader(_BaseLoader):  # type: ignore[misc]
             raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark) from reason
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        """The mapping of a node."""
         mapping: dict[Any, Any] = super().construct_mapping(node, deep=deep)
         if len(mapping) < len(node.value):
             problem = f"the key {quoted(_first_duplicate(key.value for key, _ in node.value))} is given twice"
@@ -120,7 +118,6 @@ class _Dumper(yaml.SafeDumper):
     """YAML's safe writer, without aliases for lists that occur twice, which `parse_yaml` refuses."""
 
     def ignore_aliases(self, data: Any) -> bool:
-        """Whether to write a value again each time it occurs."""
         return True
 
 

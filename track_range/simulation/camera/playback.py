@@ -65,7 +65,6 @@ def play_back(
 
 
 def _is_detected(truth: KittiLabels, rng: np.random.Generator, flaws: Flaws) -> BoolArray:
-    """(N,) mask of the detected labels."""
     height_px = truth.xyxy_px[:, 3] - truth.xyxy_px[:, 1]
     miss = flaws.miss + flaws.miss_small * _smallness(height_px) + flaws.miss_partly_hidden * (truth.occluded == 1)
     is_missed = rng.uniform(size=len(truth)) < miss
