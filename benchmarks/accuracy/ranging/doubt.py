@@ -152,7 +152,7 @@ FAULTS = (
         Fault("size", f"images {x:g} x {y:g}", _resized(x, y), SIZE, "principal point")
         for x, y in ((0.75, 0.75), (0.5, 0.5), (1024 / 1242, 320 / 375))
     ),
-    *(Fault("time", f"{k} dropped", _skipped(k), TIME, "right") for k in (1, 3)),
+    *(Fault("time", f"{k} dropped", _skipped(k), TIME, "left video lags") for k in (1, 3)),
     *(Fault("time", f"{k} repeated", _skipped(-k), TIME, "right") for k in (1, 5)),
     Fault("time", "frozen", _order(lambda n, at: [*range(at), *[at] * (n - at)]), TIME, "right"),
     Fault("time", "lag 2 from the start", _order(lambda n, at: [0, 0, *range(n - 2)]), TIME, "right"),
