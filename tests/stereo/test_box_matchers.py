@@ -25,7 +25,8 @@ def test_all_matchers_on_exact_pairs(tmp_path: Path) -> None:
         assert np.abs(column.disparity_px - objects.true_px).max() < 0.15, name
         assert ((column.sigma_px > 0) & (column.sigma_px < 1)).all(), name
         assert measured.ms_per_frame[name] > 0
-    assert measured.notes == ()
+    assert len(measured.notes) == 1
+    assert "has no image size; taken for" in measured.notes[0]
 
 
 def test_tracks_of_a_drive_are_groups(tmp_path: Path) -> None:

@@ -161,10 +161,10 @@ def test_closing_early_stops_both_decoders(view: View) -> None:
 
 def test_error_of_one_video_reaches_the_caller(view: View) -> None:
     right = view(times(6))
-    (right.path / "3.png").write_bytes(b"damaged")
+    (right.path / "3.png").unlink()
     pairs = iter(RecordedPair(view(times(6)), right))
     assert [next(pairs)[0].index for _ in range(3)] == [0, 1, 2]
-    with pytest.raises(VideoError, match=r"3.png: .*damaged"):
+    with pytest.raises(VideoError, match=r"3.png: the image was deleted"):
         next(pairs)
     assert not any(thread.name.startswith("read ") for thread in threading.enumerate())
 
