@@ -15,9 +15,10 @@ The sigma of a method has an independent part, new in every frame (box jitter, m
 constant over a track (the car is larger than average). Only the independent part averages out: it alone is R, scaled by
 lambda, which is estimated from the innovations of the method (`NoiseScale`). The systematic part is added to the
 filter's variance at the output. It is common to distance and speed, so the time to collision d / -v does not contain
-it. When the condition of a measurement changes (a method joins or leaves the fusion), so does its systematic error:
-the variances of the old and the new one are added to that of d, so that the step does not appear as speed. A
-measurement beyond 3 sigma is down-weighted (Huber); after three in a row the filter restarts.
+it. When the condition of a measurement changes (a method joins or leaves the fusion, a nearer box begins or ceases to
+hide a side of the box), so does its systematic error: the variances of the old and the new one are added to that of d,
+so that the step does not appear as speed. A measurement beyond 3 sigma is down-weighted (Huber); after three in a row
+the filter restarts.
 
 Where the image border cuts a box, the prediction is that of the object's far end (`cut_boxes`).
 """
@@ -121,6 +122,7 @@ class _FilterState(NamedTuple):
     n_outliers: FloatArray  # consecutive ones
     condition: FloatArray  # of the last measurement
     steady_since_s: FloatArray  # time of the start or of the last change of condition
+    is_hidden: FloatArray  # of the last measurement; 1 = True
     q: FloatArray  # the `SideState`
     k: FloatArray
     P_dk: FloatArray
@@ -129,7 +131,7 @@ class _FilterState(NamedTuple):
 
 
 _NAN, _ZERO = np.array(np.nan), np.array(0.0)
-_NEW_TRACK = _FilterState(_NAN, _NAN, _ZERO, _ZERO, _ZERO, _NAN, _NAN, _NAN, _NAN, _ZERO, _ZERO, _NAN, *[_ZERO] * 5)
+_NEW_TRACK = _FilterState(_NAN, _NAN, _ZERO, _ZERO, _ZERO, _NAN, _NAN, _NAN, _NAN, _ZERO, _ZERO, _NAN, *[_ZERO] * 6)
 
 
 class DistanceFilters:
@@ -174,6 +176,7 @@ class DistanceFilters:
         ego_speed_mps: float = math.nan,
         ego_sigma_mps: float = math.nan,
         cut: CutBoxes | None = None,
+        is_hidden: BoolArray | None = None,
     ) -> dict[str, FilteredRanges]:
         """Filtered ranges of every track at `time_s`, by method, after the measurements of this frame.
 
@@ -186,6 +189,7 @@ class DistanceFilters:
             ego_speed_mps: current speed of the camera along its axis; NaN = unknown.
             ego_sigma_mps: its standard deviation; NaN = 0.
             cut: boxes of the tracks that the image border cuts; None = none is cut.
+            is_hidden: (N,) whether distances come from boxes with hidden sides (`have_hidden_sides`); None = none.
         """
         if by_method.keys().isdisjoint(self._methods):
             return {}
@@ -219,7 +223,9 @@ class DistanceFilters:
             i = self._methods.index(name)
             is_changed[i] = valid[i] & (code != condition[i]) & np.isfinite(d[i])
             condition[i] = np.where(valid[i], code, condition[i])
-        P_dd = P_dd + np.where(is_changed, d * d * (last.systematic + systematic), 0.0)
+        hidden = np.where(valid, 0.0 if is_hidden is None else is_hidden, last.is_hidden)
+        may_step = is_changed | (hidden != last.is_hidden)
+        P_dd = P_dd + np.where(may_step, d * d * (last.systematic + systematic), 0.0)
         steady_since_s = np.where(is_changed, time_s, last.steady_since_s)
 
         # Gate.
@@ -259,6 +265,7 @@ class DistanceFilters:
             n_outliers=n_outliers,
             condition=condition,
             steady_since_s=steady_since_s,
+            is_hidden=hidden,
             **side._asdict(),
         )
         is_recent = time_s - _FilterState._make(self._tracks.known).measured_s <= settings.max_gap_s

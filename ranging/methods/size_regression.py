@@ -22,6 +22,7 @@ from track_range.ranging.size_models.size_model import (
     SizeModel,
     box_error_table,
     detector_noise,
+    have_hidden_sides,
     measured_boxes,
 )
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -54,7 +55,7 @@ def incomplete_sigma(xyxy_px: FloatArray, is_cut: BoolArray) -> FloatArray:
 
 
 class SizeRanger(Ranger):
-    """Ranges observed boxes by size: truncated at the left or right by height only, at the top or bottom not at all.
+    """Ranges observed boxes by size: cut or hidden at a side by height only, cut at the top or bottom not at all.
 
     A ranger belongs to one drive: it learns the ground plane and the body types of its tracks (`DriveState`).
 
@@ -128,7 +129,8 @@ class SizeRanger(Ranger):
         usable = tracks.observed & (y1_px >= first_px) & (y2_px <= last_y_px)
         usable &= (y2_px - y1_px >= _MIN_HEIGHT_PX) & (x2_px > x1_px)
         rows = usable.nonzero()[0]
-        uses_width = (x1_px >= first_px) & (x2_px <= last_x_px)
+        is_cut = (x1_px < first_px) | (x2_px > last_x_px)
+        uses_width = ~is_cut & ~have_hidden_sides(tracks.xyxy_px)
         boxes = measured_boxes(
             tracks.xyxy_px[rows],
             tracks.class_id[rows],
@@ -139,7 +141,7 @@ class SizeRanger(Ranger):
         )
         self._drive.start_frame(tracks.track_id[rows], frame.time_s)
         measured = self._curves.measure(boxes, self._drive)
-        incomplete_m = measured.distance_m * incomplete_sigma(tracks.xyxy_px, ~uses_width)[rows]
+        incomplete_m = measured.distance_m * incomplete_sigma(tracks.xyxy_px, is_cut)[rows]
         distance_m, sigma_m, systematic_m = np.full((3, len(tracks)), np.nan)
         distance_m[rows] = measured.distance_m
         sigma_m[rows] = np.hypot(measured.sigma_m, incomplete_m)

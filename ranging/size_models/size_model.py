@@ -131,6 +131,21 @@ _HAS_PERSON = np.array([name in ("person", "bicycle", "motorcycle") for name in 
 BORDER_PX = 1.5  # from the image border within which a box counts as cut: boxes of detectors end up to 1 px inside
 
 
+_ABUTS_PX, _ABUTS_FRACTION = 2.0, 0.1  # distance within which two edges abut: px, plus a fraction of the height
+
+
+def have_hidden_sides(xyxy_px: FloatArray) -> BoolArray:
+    """(N,) whether the left or right side of boxes (N, 4) of a frame lies in a nearer box, or abuts on one.
+
+    Boxes that end lower in the image are nearer. Those that hide a side cover its lower half, where objects are widest.
+    """
+    x1, y1, x2, y2 = xyxy_px.T[:, :, None]
+    left, top, right, bottom = xyxy_px.T
+    abuts_px = _ABUTS_PX + _ABUTS_FRACTION * (y2 - y1)
+    hides = ((left < x1 + abuts_px) & (right > x1 - abuts_px)) | ((left < x2 + abuts_px) & (right > x2 - abuts_px))
+    return np.asarray((hides & (bottom > y2) & (top < (y1 + y2) / 2)).any(axis=1))
+
+
 @dataclass(frozen=True, slots=True)
 class BoxNoise:
     """Noise of box edges: independent errors with a standard deviation of hypot(px, relative * size).
@@ -171,7 +186,7 @@ class BoxExtents:
     bearing: FloatArray  # (N,) tangent of the angle between the middle column and the camera's axis
     bottom: FloatArray  # (N,) tangent of the angle of the bottom edge below the camera's axis
     size_class: IntArray  # (N,) index into `SIZE_CLASSES`
-    uses_width: BoolArray  # (N,) False = a side is cut, the width is not used
+    uses_width: BoolArray  # (N,) False = a side is cut or hidden, the width is not used
     uses_bottom: BoolArray  # (N,) False = the bottom edge is not the contact point
     edge_sigma: FloatArray  # (N, 2) standard deviation of one edge, in x and in y
     systematic_sigma: FloatArray  # (N, 2) of log width and log height, the same in all frames of an object

@@ -302,6 +302,22 @@ def test_methods_are_filtered_independently():
     assert len(set(together.noise_shares.values())) == 3
 
 
+@pytest.mark.parametrize("is_told", [True, False])
+def test_step_to_a_hidden_box_is_not_motion(is_told):
+    """A standing target whose distance steps by 8 % when a nearer box hides a part of it."""
+    tracker, rates = OneFilter(noise_share=0.3), []
+    for step in range(30):
+        is_hidden = np.array([step >= 15])
+        z = 30.0 * (1.08 if is_hidden[0] else 1.0)
+        options = {"is_hidden": is_hidden} if is_told else {}
+        result = tracker.update(measured([1], [z], sigma_m=0.08 * z), step * 0.1, ego_speed_mps=0.0, **options)
+        rates.append(result.rate_mps[0])
+    assert np.isfinite(rates[10:]).all()  # it is known all the time
+    largest = np.abs(rates[15:]).max()
+    assert 0.02 < largest < 0.3 if is_told else 0.8 < largest < 3
+    assert result.ranges.distance_m[0] == pytest.approx(30.0 * 1.08, rel=0.01)
+
+
 def test_missing_method_has_measured_nothing():
     tracker = DistanceFilters({"a": 0.6, "b": 0.6})
     assert tracker.update({}, 0.0) == {}

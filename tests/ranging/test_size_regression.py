@@ -12,6 +12,7 @@ from track_range.ranging.size_models.size_model import (
     BoxNoise,
     box_error_table,
     detector_noise,
+    have_hidden_sides,
     measured_boxes,
 )
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -119,6 +120,39 @@ def test_cut_side_excludes_the_width():
     )
     assert whole != pytest.approx(30.0)
     assert cut == pytest.approx(30.0)
+
+
+HIDING = {
+    "left": [220, 190, 300, 280],
+    "right": [360, 190, 440, 280],
+    "overlaps": [345, 190, 440, 280],
+    "abuts": [366, 190, 440, 280],  # 6 px beside it, of at most 2 px and a tenth of its height
+    "all": [290, 190, 440, 280],
+}
+SHOWING = {
+    "beside": [368, 190, 440, 280],
+    "farther": [345, 190, 440, 245],
+    "low": [345, 228, 440, 280],  # covers less than the lower half
+    "in the middle": [320, 190, 340, 280],
+}
+
+
+@pytest.mark.parametrize(("nearer", "is_hidden"), [(k, k in HIDING) for k in HIDING | SHOWING])
+def test_width_of_a_box_with_a_hidden_side_is_not_used(nearer, is_hidden):
+    boxes = tracks_of([300, 200, 360, 250], (HIDING | SHOWING)[nearer])
+    assert have_hidden_sides(boxes.xyxy_px)[0] == is_hidden
+    curves = SizeCurves({"car": flat(1.5, per_log_width=-0.5)}, {"car": flat(1.5)})
+    distance_m = SizeRanger(CAMERA, curves).measure(boxes, FRAME).distance_m[0]
+    assert (distance_m == pytest.approx(30.0)) == is_hidden
+
+
+def test_packaged_priors_with_a_hidden_side():
+    """Of a car, a nearer one leaves a third visible: the distance remains that by height, and sigma grows."""
+    whole = SizeRanger(CAMERA).measure(tracks_of([300, 200, 360, 250]), FRAME)
+    parts = SizeRanger(CAMERA).measure(tracks_of([300, 200, 320, 250], [320, 190, 440, 280]), FRAME)
+    assert parts.distance_m[0] == pytest.approx(1.53 / 50 * 1000, rel=0.08)
+    assert whole.sigma_m[0] / whole.distance_m[0] < parts.sigma_m[0] / parts.distance_m[0] < 0.2
+    assert not have_hidden_sides(np.zeros((0, 4))).size
 
 
 def test_packaged_priors_with_a_cut_side():

@@ -23,11 +23,12 @@ from track_range.ranging.ego_speed import EgoSpeed
 from track_range.ranging.filtering.cut_boxes import CutBoxes
 from track_range.ranging.filtering.distance_filter import DistanceFilters, FilteredRanges
 from track_range.ranging.filtering.lateral_motion import LateralFilters, LateralMotion
-from track_range.ranging.fusion.fusion import Fusion
+from track_range.ranging.fusion.fusion import Fusion, ScaleSource
 from track_range.ranging.method import Ranger, checked_ranges
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import methods
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
+from track_range.ranging.size_models.size_model import have_hidden_sides
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.camera_height import CameraHeight
@@ -243,6 +244,7 @@ class FusionStage:
             ego_speed_mps=ego.speed_mps,
             ego_sigma_mps=ego.speed_sigma_mps,
             cut=CutBoxes.of(tracks, self._camera),
+            is_hidden=have_hidden_sides(tracks.xyxy_px) & (fused.scale_source == ScaleSource.ASSUMED),
         )
         ranges |= {f"{name}_kf": state.ranges for name, state in filtered.items()}
         motion = filtered["fused"]
