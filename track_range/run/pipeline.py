@@ -368,9 +368,11 @@ class _Opened:
         self._apply()
         recorded = self.calibration.frame_of(images, index, time_s)
         (frame,) = self._sync.add(recorded)
-        if self._monitor is not None and self._monitor.finding is None:
+        if self._monitor is not None:
+            was_known = self._monitor.finding is not None
             self._monitor.add(frame)
-            self._repair(self._monitor.finding)
+            if not was_known:
+                self._repair(self._monitor.finding)
         if not self._has_stereo:
             frame = replace(frame, right=None)
         result = self._stages.step(self._stages.detected(frame), known)

@@ -40,7 +40,9 @@ class PairMonitor:
         self._next_s, self._wait_s, self._n_moving = -math.inf, MIN_STEP_S, 0
 
     def add(self, frame: Frame) -> None:
-        """Check a frame, if it is due; raises RigError with the last one if left and right are swapped."""
+        """Check a frame, if it is due; raises RigError once left and right are known to be swapped."""
+        if self.finding is not None:
+            self.finish()
         if self.finding is not None or frame.right is None or frame.time_s < self._next_s:
             return
         self._evidence.add(frame.left, whole_image(frame.right))
@@ -67,8 +69,8 @@ class PairMonitor:
             figures = self._evidence.figures()
             self.finding, self.view = find_fault(figures, self._rig), figures.view
             self._row_fraction = figures.row_fraction
-            if self.finding.fault == "swapped":
-                raise RigError(self.finding.sentence)
+        if self.finding is not None and self.finding.fault == "swapped":
+            raise RigError(self.finding.sentence)
         return self.finding
 
     @property
