@@ -65,7 +65,7 @@ _SHARED_VARIANCE, _MAX_SHARED = 0.07**2, 0.4  # of sizes that objects have in co
 _MAX_SIZE_SIGMA, _MAX_HEIGHT_SIGMA = 0.25, 0.2  # of distances by size and of heights that are evidence, relative
 _MIN_FRAMES, _MIN_OBJECTS, _MIN_LANES = 3, 2, 10
 _INTERVAL_S = 0.5  # between two evaluations
-_MAX_OBJECTS = 300
+_MAX_OBJECTS, _MAX_VALUES = 300, 600  # largest numbers that are kept
 _IS_EVIDENCE = np.array([not name.startswith("traffic") for name in SIZE_CLASSES])  # lights and signs vary too much
 _LANE = "the lane lines"
 _STEP = 0.02
@@ -117,8 +117,8 @@ class ScaleCheck:
         self._objects = TrackState(np.zeros(6))  # number of frames, mean, mean variance of g - a, the same of h + a
         self._pair_height, self._given_height = CameraHeight(road_height_m), CameraHeight(road_height_m)
         self._speed_ratio = CameraHeight(1.0, shared_sigma=_ODOMETRY_SIGMA)  # of stereo odometry and the given speed
-        self._given_sigmas: list[float] = []
-        self._log_openings: list[float] = []
+        self._given_sigmas: deque[float] = deque(maxlen=_MAX_VALUES)
+        self._log_openings: deque[float] = deque(maxlen=_MAX_VALUES)
         self._shapes = (
             ShapeCheck(camera, sizes) if isinstance(sizes, CuboidSizes) and focal_sigma <= _KNOWN_FOCAL else None
         )
@@ -126,7 +126,7 @@ class ScaleCheck:
         self._max_mps = 0.0
         self._due_s = -math.inf
         self.doubt: ScaleDoubt | None = None  # the latest finding; None = no contradiction
-        self.agreement = Agreement(math.inf, "")
+        self.agreement = Agreement(1.0, math.inf, "")
 
     def update(
         self,
@@ -183,7 +183,7 @@ class ScaleCheck:
         if self.doubt is not None:
             sections["scale_doubt"] = {**self.doubt._asdict(), "causes": dict(self.doubt.causes)}
         if self.baseline_m is not None:
-            sigma, evidence = self.agreement
+            _, sigma, evidence = self.agreement
             sections["baseline_check"] = {"sigma": sigma if sigma <= SHOWN_SIGMA else None, "evidence": evidence}
         return sections
 
@@ -258,18 +258,18 @@ class ScaleCheck:
             chi2, x, P = self._fitted(evidence, priors)
             sigma = math.sqrt(P[unknown, unknown])
             if unknown == _RIG:
-                self.agreement = Agreement(sigma, names)
+                self.agreement = Agreement(math.exp(x[_RIG]), sigma, names)
             factor = math.exp(x[unknown] if unknown != _HEIGHT else -x[unknown])
             is_known = cause == "baseline" or known_mistakes(cause, factor, sigma)
             if {_RIG: self.baseline_m is not None, _HEIGHT: self._has_height, _SPEED: bool(self._given_sigmas)}.get(
                 unknown, True
             ):
-                fits.append((chi2 + (0.0 if is_known else _NEARLY), cause, factor, sigma))
-        fits.sort()
-        least, _, factor, sigma = fits[0]
-        if right.chi2 - least < _DOUBTFUL:
+                fits.append((chi2 + (0.0 if is_known else _NEARLY), cause, factor, sigma, chi2))
+        if right.chi2 - min(chi2 for *_, chi2 in fits) < _DOUBTFUL:
             return None
-        near = tuple((cause, value) for chi2, cause, value, _ in fits if chi2 < least + _NEARLY)
+        fits.sort()
+        least, _, factor, sigma, _ = fits[0]
+        near = tuple((cause, value) for priced, cause, value, *_ in fits if priced < least + _NEARLY)
         return ScaleDoubt(factor, sigma, n_objects, near, names)
 
     def _fitted(self, evidence: list[Evidence], priors: FloatArray) -> _Solution:

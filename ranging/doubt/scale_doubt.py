@@ -75,20 +75,21 @@ def known_mistakes(cause: Cause, factor: float, sigma: float) -> list[str]:
     return [text for of, value, text in _MISTAKES if of == cause and abs(math.log(value / factor)) < 2 * sigma]
 
 
-def causes_of(error_sources: Sequence[str]) -> frozenset[Cause]:
+def causes_of(error_sources: Sequence[str], *, has_rig: bool) -> frozenset[Cause]:
     """What changes the distances of a method with these error sources."""
     causes: set[Cause] = {"focal length"}
     if "baseline" in error_sources:
         causes.add("baseline")
-    if "horizon" in error_sources:  # ranged by the height of the camera, which a given speed may have shown
-        causes |= {"camera height", "speed"}
+    if {"horizon", "lane_width"} & {*error_sources}:  # by a height or a width that speed, height or stereo measured
+        causes |= {"camera height", "speed", *(("baseline",) if has_rig else ())}
     return frozenset(causes)
 
 
 class Agreement(NamedTuple):
     """What a drive shows about the baseline."""
 
-    sigma: float  # relative standard deviation of the drive's own baseline
+    factor: float  # of the given baseline and that of the drive
+    sigma: float  # relative standard deviation of that of the drive
     evidence: str
 
     @property
@@ -96,4 +97,9 @@ class Agreement(NamedTuple):
         """Note for the user."""
         if self.sigma > SHOWN_SIGMA:
             return "The baseline cannot be checked in this drive."
+        if abs(math.log(self.factor)) > 1.5 * self.sigma:
+            return (
+                f"The baseline is {self.factor:.2f} ± {self.factor * self.sigma:.2f} times what the drive shows, by "
+                f"{self.evidence}: no contradiction yet."
+            )
         return f"The baseline agrees with the drive within {100 * self.sigma:.0f} % (1 sigma), by {self.evidence}."

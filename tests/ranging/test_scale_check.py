@@ -160,7 +160,10 @@ def test_without_evidence_the_baseline_cannot_be_checked():
     check = check_of(2.54, n=1, has_road=False)
     assert check.doubt is None
     assert "cannot be checked" in check.agreement.sentence
-    assert "within" in check_of(1.0, n=4).agreement.sentence
+    assert "agrees with the drive within" in check_of(1.0, n=4, sizes=1.0).agreement.sentence
+    wrong = check_of(1.25, n=4, sizes=1.0, true_mps=12.0)
+    assert wrong.doubt is None
+    assert "times what the drive shows" in wrong.agreement.sentence
 
 
 def test_lane_lines_measure_the_height_of_the_camera():
@@ -185,6 +188,6 @@ def test_a_sentence_names_the_causes_that_fit():
 def test_sigma_covers_both_scales(factor):
     distance_m = 20.0
     doubt = ScaleDoubt(factor, 0.1, 3, (("baseline", factor),), "sizes")
-    sigma_m = doubt.sigma_of(causes_of(["baseline", "own"])) * distance_m
+    sigma_m = doubt.sigma_of(causes_of(["baseline", "own"], has_rig=True)) * distance_m
     assert 1.0 < sigma_m / abs(distance_m - distance_m / factor) < 1.2
-    assert doubt.sigma_of(causes_of(["size"])) == 0.0
+    assert doubt.sigma_of(causes_of(["size"], has_rig=True)) == 0.0

@@ -21,6 +21,8 @@ from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import EgoMotion
 from track_range.tracking.registry import ObjectTracker, checked_tracks
 
+_OF_ODOMETRY: frozenset[Cause] = frozenset({"baseline", "focal length", "camera height"})
+
 
 @dataclass(slots=True, kw_only=True)
 class FramePipeline:
@@ -44,11 +46,12 @@ class FramePipeline:
 
     def __post_init__(self) -> None:
         self._fusion = FusionStage(self.camera)
-        self._causes = {
-            method.name: causes_of([source.name for source in method.error_sources]) for method in methods()
-        }
         has_rig = self.scale_check is not None and self.scale_check.baseline_m is not None
-        self._causes["fused"] = causes_of(["baseline"] if has_rig else ["horizon"])
+        self._causes = {
+            method.name: causes_of([source.name for source in method.error_sources], has_rig=has_rig)
+            for method in methods()
+        }
+        self._causes["fused"] = causes_of(["baseline"] if has_rig else ["horizon"], has_rig=has_rig)
 
     def detected(self, frame: Frame) -> Detected:
         """The frame with its boxes and lane lines, in the calling thread."""
@@ -82,10 +85,13 @@ class FramePipeline:
                     given=ego.given,
                 )
             doubt = self.scale_doubt
-            self.ego.trusts_speed = doubt is None or "speed" not in dict(doubt.causes)
+            self.ego.trusts_speed = doubt is None or [cause for cause, _ in doubt.causes] != ["speed"]
             self.scale = DriveScale() if doubt else self.scale.after(evidence, frame.time_s)
             motion, lateral = self._fusion.update(frame, tracks, ranges, ego.motion)
             ego_mps, yaw_rad_s = ego.motion.speed_mps, ego.motion.yaw_rad_s
+            ego_sigma_mps = ego.motion.speed_sigma_mps
+            if doubt is not None and ego.given is None:  # odometry has the scale of the cameras
+                ego_sigma_mps = math.hypot(ego_sigma_mps, doubt.sigma_of(_OF_ODOMETRY) * ego_mps)
             # neither fusion nor filtering reduces what methods have in common; times to collision do not contain it
             for name, measured in ranges.items():
                 method = name.removesuffix("_kf")
@@ -118,7 +124,7 @@ class FramePipeline:
                 warnings=warnings,
                 candidates=candidates,
                 ego_mps=ego_mps,
-                ego_sigma_mps=ego.motion.speed_sigma_mps,
+                ego_sigma_mps=ego_sigma_mps,
                 scale_doubt=doubt,
             )
 

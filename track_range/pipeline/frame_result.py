@@ -79,7 +79,7 @@ class FrameResult:
         ego_mps: speed of the camera along its axis in m/s, negative = backwards; NaN = unknown.
         ego_sigma_mps: its standard deviation; NaN = unknown.
         warnings: probability of contact and alarm of each track; None if they were not estimated.
-        scale_doubt: contradiction between the scale of the rig and the drive; None = none was found.
+        scale_doubt: contradiction between a given scale and the drive; None = none was found.
     """
 
     frame: Frame

@@ -153,9 +153,9 @@ FAULTS = (
         for x, y in ((0.75, 0.75), (0.5, 0.5), (1024 / 1242, 320 / 375))
     ),
     *(Fault("time", f"{k} dropped", _skipped(k), TIME, "left video lags") for k in (1, 3)),
-    *(Fault("time", f"{k} repeated", _skipped(-k), TIME, "right") for k in (1, 5)),
-    Fault("time", "frozen", _order(lambda n, at: [*range(at), *[at] * (n - at)]), TIME, "right"),
-    Fault("time", "lag 2 from the start", _order(lambda n, at: [0, 0, *range(n - 2)]), TIME, "right"),
+    *(Fault("time", f"{k} repeated", _skipped(-k), TIME, "right video (repeats|lags)") for k in (1, 5)),
+    Fault("time", "frozen", _order(lambda n, at: [*range(at), *[at] * (n - at)]), TIME, "right video repeats"),
+    Fault("time", "lag 2 from the start", _order(lambda n, at: [0, 0, *range(n - 2)]), TIME, "right video lags"),
     Fault("pair", "swapped", lambda d, _: replace(d, left=d.right, right=d.left), PAIR, "swapped"),
     *(
         Fault(

@@ -141,11 +141,12 @@ class SyncMonitor:
         if shift or (is_off and not entry.is_unknown):
             side: Side = "left" if shift < 0 or entry.repeated[0] else "right"
             kind: Kind = "repeated" if any(entry.repeated) else "lag" if shift else "apart"
+            action: Action = "stereo off" if is_off else "re-paired"
             if before is None or (before.kind, before.side, before.lag_frames) != (kind, side, abs(shift)):
-                action: Action = "stereo off" if is_off else "re-paired"
                 before = SyncFinding(frame.index, frame.time_s, side, kind, abs(shift), 0, action)
                 self.findings.append(before)
             before.frames += 1
+            before.action = action if action == "re-paired" else before.action  # the first frames may lack a partner
             self._last = before
 
     def _compare(self, entry: _Entry, before: _Entry) -> None:
