@@ -56,7 +56,7 @@ _LANE_SIGMA = 0.1  # of the opening of lane lines, in addition to the width of t
 _FREE_SIGMA = 3.0  # of a mistake
 _MAX_MPS, _MAX_MPS_SIGMA = 45.0, 0.15  # speed that vehicles hardly exceed, and the sigma of its logarithm
 _N_STEADY, _STEADY = 8, 1.3  # frames of a speed, and its largest change: odometry of unrelated images is not steady
-_DOUBTFUL = 9.0  # difference of chi-squared of a doubt
+_DOUBTFUL, _RESOLVED = 9.0, 4.0  # differences of chi-squared at which a doubt starts and ends
 _NEARLY = 4.0  # largest difference between causes that both fit; price of a factor without a known mistake
 _TAILS = 4.0  # largest chi-squared of a usual height and of a usual lane
 _OUTLIER, _OUTLIER_SIGMA = 0.1, 1.0  # fraction of objects with a mismatch or a wrong class, and their sigma
@@ -124,7 +124,8 @@ class ScaleCheck:
         )
         self._speeds_mps: deque[float] = deque(maxlen=_N_STEADY)
         self._max_mps = 0.0
-        self._due_s = -math.inf
+        self._due_s = self._since_s = -math.inf
+        self._past_s: deque[tuple[float, float]] = deque(maxlen=_MAX_VALUES)  # starts and ends of former doubts
         self.doubt: ScaleDoubt | None = None  # the latest finding; None = no contradiction
         self.agreement = Agreement(1.0, math.inf, "")
 
@@ -168,14 +169,16 @@ class ScaleCheck:
                 self._given_height.update(time_s, given, by_road)
         if time_s >= self._due_s:
             self._due_s = time_s + _INTERVAL_S
-            self.doubt = self._evaluated()
+            self._evaluate(time_s)
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Messages for the user so far."""
+        spans = ", ".join(f"{start:.1f} to {end:.1f} s" for start, end in self._past_s)
+        past = (f"The scale was in doubt from {spans}: sigmas are wider there, without alarms.",) if spans else ()
         if self.doubt is not None:
-            return (self.doubt.sentence(self.baseline_m),)
-        return () if self.baseline_m is None else (self.agreement.sentence,)
+            return (*past, self.doubt.sentence(self.baseline_m))
+        return past if self.baseline_m is None else (*past, self.agreement.sentence)
 
     def summary(self) -> dict[str, Any]:
         """Sections of summary.json."""
@@ -245,6 +248,13 @@ class ScaleCheck:
             evidence.append(shapes)
         return evidence, n_objects
 
+    def _evaluate(self, time_s: float) -> None:
+        before, self.doubt = self.doubt, self._evaluated()
+        if before is None and self.doubt is not None:
+            self._since_s = time_s
+        elif before is not None and self.doubt is None:
+            self._past_s.append((self._since_s, time_s))
+
     def _evaluated(self) -> ScaleDoubt | None:
         evidence, n_objects = self._evidence()
         if not evidence and self._max_mps <= _MAX_MPS:
@@ -265,7 +275,7 @@ class ScaleCheck:
                 unknown, True
             ):
                 fits.append((chi2 + (0.0 if is_known else _NEARLY), cause, factor, sigma, chi2))
-        if right.chi2 - min(chi2 for *_, chi2 in fits) < _DOUBTFUL:
+        if right.chi2 - min(chi2 for *_, chi2 in fits) < (_DOUBTFUL if self.doubt is None else _RESOLVED):
             return None
         fits.sort()
         least, _, factor, sigma, _ = fits[0]

@@ -156,6 +156,22 @@ def test_speeds_of_no_car():
     assert check_of(1.0, n=1, true_mps=160.0, is_steady=False, has_road=False).doubt is None  # unrelated images
 
 
+def test_a_doubt_that_ends_is_remembered():
+    """A rig 2.5 times too long for the first road users; later ones show that these were wrong."""
+    check = check_of(2.5, n=2, seconds=2.0)
+    assert check.doubt is not None
+    rng = np.random.default_rng(1)
+    ids = np.arange(10, 40)
+    for k in range(20, 40):
+        true_m = rng.uniform(10, 40, 30)
+        boxes = np.stack([300 + 0 * true_m, 300 + 0 * true_m, 400 + 0 * true_m, 380 + 0 * true_m], axis=1)
+        tracks = Tracks(ids, boxes, np.full(30, CAR), np.ones(30), np.ones(30, np.bool_))
+        check.update(tracks, Ranges(ids, true_m, 0.1 * true_m), Ranges(ids, true_m, 0.02 * true_m), time_s=0.1 * k)
+    assert check.doubt is None
+    assert "The scale was in doubt from 0" in check.notes[0]
+    assert "agrees with the drive" in check.notes[1]
+
+
 def test_without_evidence_the_baseline_cannot_be_checked():
     check = check_of(2.54, n=1, has_road=False)
     assert check.doubt is None

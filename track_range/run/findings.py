@@ -60,9 +60,9 @@ class Findings:
         notes = _problem("", self._left)
         if not notes and detect is not None and self._is_upside_down(detect):
             notes += (
-                f"The images appear to be upside down: {len(self._kept)} of them show more road users after a rotation "
-                "by 180 degrees. Rotate the video, as with ffmpeg -i IN -vf hflip,vflip OUT.mp4: until then few road "
-                "users are found, and distances by the road are wrong.",
+                f"The images appear to be upside down: in a sample of {len(self._kept)} more road users are found "
+                "after a rotation by 180 degrees. Rotate the video, as with ffmpeg -i IN -vf hflip,vflip OUT.mp4: "
+                "until then few road users are found, and distances by the road are wrong.",
             )
         if not self._n_boxes and not notes:
             notes += (
