@@ -68,6 +68,7 @@ _INTERVAL_S = 0.5  # between two evaluations
 _MAX_OBJECTS, _MAX_VALUES = 300, 600  # largest numbers that are kept
 _IS_EVIDENCE = np.array([not name.startswith("traffic") for name in SIZE_CLASSES])  # lights and signs vary too much
 _LANE = "the lane lines"
+_EFFECT = "Until then the sigmas of the distances that depend on it cover both, and no alarm is given."
 _STEP = 0.02
 _LOG = np.arange(-3.2, 3.2 + _STEP / 2, _STEP)  # (G,) grid of what objects have in common
 
@@ -177,7 +178,7 @@ class ScaleCheck:
         spans = ", ".join(f"{start:.1f} to {end:.1f} s" for start, end in self._past_s)
         past = (f"The scale was in doubt from {spans}: sigmas are wider there, without alarms.",) if spans else ()
         if self.doubt is not None:
-            return (*past, self.doubt.sentence(self.baseline_m))
+            return (*past, f"{self.doubt.sentence(self.baseline_m)} {_EFFECT}")
         return past if self.baseline_m is None else (*past, self.agreement.sentence)
 
     def summary(self) -> dict[str, Any]:

@@ -35,12 +35,9 @@ class ScaleDoubt(NamedTuple):
         return max((abs(1.0 - 1.0 / factor) + self.sigma / factor for factor in factors), default=0.0)
 
     def sentence(self, baseline_m: float | None) -> str:
-        """Note for the user, with the causes that fit."""
+        """What is in doubt, with the mistakes that fit, and what shows it."""
         doubts = "; or ".join(self._cause(*cause, baseline_m) for cause in self.causes)
-        return (
-            f"Scale in doubt: {doubts}. Evidence: {self.evidence}. Check it; until then the sigmas of the distances "
-            "that depend on it cover both, and there are no warnings."
-        )
+        return f"Scale in doubt: {doubts}. Evidence: {self.evidence}. Check it."
 
     def _cause(self, cause: Cause, factor: float, baseline_m: float | None) -> str:
         times = f"{factor:.2f} times (± {100 * self.sigma:.0f} %) what the drive shows"

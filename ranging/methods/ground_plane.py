@@ -402,7 +402,8 @@ class GroundRanger(Ranger):
                 are an error that mono has as well, and stereo measures the drive's scale.
         """
         self._has_stereo = has_stereo
-        self.plane = GroundPlane(camera, settings)
+        self._usual = settings or GroundSettings()
+        self.plane = GroundPlane(camera, self._usual)
         self._is_reference = self._has_height = is_reference
         self._road: RoadView | None = None
 
@@ -431,9 +432,10 @@ class GroundRanger(Ranger):
     def update_road(self, road: RoadView) -> None:
         """Use the road in the next frame as image motion shows it."""
         self._road = road
-        if road.height_m is not None and not self._has_height:
-            self.plane.set_height(*road.height_m)
-            self._is_reference = road.height_m[1] < _MAX_HEIGHT_SIGMA * road.height_m[0]
+        if not self._has_height:  # a height that is no longer measured, since its speed is in doubt, is unknown again
+            height_m, sigma_m = road.height_m or (self._usual.height_m, self._usual.height_sigma_m)
+            self.plane.set_height(height_m, sigma_m)
+            self._is_reference = sigma_m < _MAX_HEIGHT_SIGMA * height_m
         self.plane.update_road(road)
 
     def update_lanes(self, lines: LaneLines) -> None:

@@ -79,6 +79,7 @@ class SizeRanger(Ranger):
         noise: BoxNoise | None = None,
         box_errors: BoxErrors | None = None,
         parallax: Parallax | None = None,
+        has_visible_boxes: bool = False,
     ) -> None:
         """Create a ranger for `camera` (undistorted).
 
@@ -90,7 +91,9 @@ class SizeRanger(Ranger):
             box_errors: systematic errors of the detector's boxes; None = an unknown detector, or with `box_sigma_px` no
                 such errors.
             parallax: triangulation of static objects, which corrects their tracks; None = off.
+            has_visible_boxes: whether boxes end where a nearer object hides theirs, as those of a detector.
         """
+        self._has_visible_boxes = has_visible_boxes
         self._parallax = parallax
         self._step: CameraStep | None = None
         self._camera = camera
@@ -130,7 +133,8 @@ class SizeRanger(Ranger):
         usable &= (y2_px - y1_px >= _MIN_HEIGHT_PX) & (x2_px > x1_px)
         rows = usable.nonzero()[0]
         is_cut = (x1_px < first_px) | (x2_px > last_x_px)
-        uses_width = ~is_cut & ~have_hidden_sides(tracks.xyxy_px)
+        is_whole = ~have_hidden_sides(tracks.xyxy_px) if self._has_visible_boxes else np.True_
+        uses_width = ~is_cut & is_whole
         boxes = measured_boxes(
             tracks.xyxy_px[rows],
             tracks.class_id[rows],
@@ -160,6 +164,7 @@ def _create(context: MethodContext) -> Ranger:
         box_sigma_px=context.box_sigma_px,
         box_errors=context.box_errors,
         parallax=Parallax(context.camera) if context.has_images and context.rig is None else None,
+        has_visible_boxes=context.has_visible_boxes,
     )
 
 

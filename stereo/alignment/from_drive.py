@@ -20,7 +20,14 @@ from track_range.stereo.alignment.bundle_adjustment import CURVATURE, N_ERRORS, 
 from track_range.stereo.alignment.feature_tracks import MIN_ROWS, FeatureTracks, PairPoints, TrackedFrame
 from track_range.stereo.alignment.health import Window
 from track_range.stereo.alignment.model import UNCORRECTED_SIGMA_PX, Alignment, RightView, fit_right_view
-from track_range.stereo.alignment.segments import CombinedEstimate, Segment, combine, segment_of
+from track_range.stereo.alignment.segments import (
+    INCONSISTENT,
+    MAX_ERROR_PX,
+    CombinedEstimate,
+    Segment,
+    combine,
+    segment_of,
+)
 from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rig import StereoRig
 
@@ -38,6 +45,9 @@ _SPREADS = 2.0  # remaining error at an object / spread of the strips: from 36 c
 # Common error of subpixel point positions, which the jackknife does not include: on simulated drives the error of the
 # offset is 0.013 px in the median and 0.05 px at most, while estimates from strips and times agree within 0.011 px.
 PIXEL_LOCKING_PX = 0.02
+# Disparity error per row offset that is corrected as a pitch but may be a shift of the image: the mean of |x y| / f^2
+# over the points of an image of 80 by 30 degrees.
+_ROWS_FRACTION = 0.05
 _MIN_RESIDUAL_PX = 0.05  # lower limit of the remaining error, px
 NOT_MEASURED = Alignment()
 
@@ -120,7 +130,10 @@ class DriveAlignment:
         )
         if not self._segments:
             reason = max(self._reasons, key=self._reasons.count) if self._reasons else "no stereo frames"
-            return replace(rows, source=f"not enough data in this drive ({reason})")
+            # a contradiction is no lack of data: the disparities may be wrong by as much as was searched
+            sigma_px = MAX_ERROR_PX if INCONSISTENT in self._reasons else rows.residual_px
+            offset_sigma_px, source = max(sigma_px, rows.offset_sigma_px), f"not enough data in this drive ({reason})"
+            return replace(rows, residual_px=sigma_px, offset_sigma_px=offset_sigma_px, source=source)
         combined = estimated_errors([segment for *_, segment in self._segments])
         offset_px, curvature_px, slope_px = combined.error_px.tolist()
         offset_px += prior.shift_px
@@ -129,12 +142,13 @@ class DriveAlignment:
             reason = f"offset {offset_px:+.2f} px with a standard deviation of {offset_sigma_px:.2f} px"
             return replace(rows, source=f"not enough data in this drive ({reason})")
         spread_px = combined.spread_px if np.isfinite(combined.spread_px) else UNCORRECTED_SIGMA_PX / _SPREADS
+        rows_px = _ROWS_FRACTION * abs(rows.row_offset_px)
         return replace(
             rows,
             offset_px=offset_px,
             curvature_px=curvature_px,
             slope_px=slope_px,
-            residual_px=float(max(_MIN_RESIDUAL_PX, np.hypot(offset_sigma_px, _SPREADS * spread_px))),
+            residual_px=max(_MIN_RESIDUAL_PX, math.hypot(offset_sigma_px, _SPREADS * spread_px, rows_px)),
             offset_sigma_px=offset_sigma_px,
             curvature_sigma_px=curvature_sigma_px,
             slope_sigma_px=slope_sigma_px,

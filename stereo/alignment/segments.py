@@ -34,7 +34,7 @@ _N_PARTS = 12  # number of parts of a segment by time; with fewer, leaving one o
 _MIN_PATH_M = 2.0  # shortest path of a segment; on shorter ones the noise of poses is not small compared to parallax
 _STATIC_WEIGHT = 0.25  # minimum mean Cauchy weight of a static point (static: about 0.6, moving: 0.02)
 _MIN_STATIC_FRACTION = 0.5  # minimum fraction of static points
-_MAX_ERROR_PX = 15.0  # largest plausible offset, curvature or slope; beyond it, motion and disparities are inconsistent
+MAX_ERROR_PX = 15.0  # largest plausible offset, curvature or slope; beyond it, motion and disparities are inconsistent
 # Offset, curvature and slope from which a fit starts if it fails from 0: those of a wrong vergence of 0.25 and 0.5
 # degrees at a focal length of 720 px.
 _OTHER_ERRORS_PX = ((-6.0, -4.0, 0.0), (-3.0, -2.0, 0.0), (3.0, 2.0, 0.0), (6.0, 4.0, 0.0))
@@ -50,6 +50,9 @@ class Information(NamedTuple):
 
     matrix: FloatArray  # (E, E) I
     product: FloatArray  # (E,) I e
+
+
+INCONSISTENT = "motion and disparities of the points are inconsistent"  # errors beyond `MAX_ERROR_PX`
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,12 +105,12 @@ def _fitted(observed: Observations, initial: InitialBundle | None, rig: StereoRi
         return "too few points were tracked"
     used, fit, static_fraction = _static_points(initial.observed, initial.bundle, rig)
     change_px = np.abs(fit.bundle.error_px - initial.bundle.error_px).max()
-    if _MAX_CHANGE_PX < change_px <= _MAX_ERROR_PX:
+    if _MAX_CHANGE_PX < change_px <= MAX_ERROR_PX:
         second = initial_bundle(observed, rig, error_px=fit.bundle.error_px)
         if second is not None and second.support > initial.support:
             used, fit, static_fraction = _static_points(second.observed, second.bundle, rig)
-    if not np.isfinite(fit.bundle.error_px).all() or np.abs(fit.bundle.error_px).max() > _MAX_ERROR_PX:
-        return "motion and disparities of the points are inconsistent"
+    if not np.isfinite(fit.bundle.error_px).all() or np.abs(fit.bundle.error_px).max() > MAX_ERROR_PX:
+        return INCONSISTENT
     if fit.bundle.path_m < _MIN_PATH_M:
         return "the vehicle hardly moves, or only turns"
     if static_fraction < _MIN_STATIC_FRACTION:

@@ -17,7 +17,7 @@ from track_range.stereo.geometry.rig import RigError, StereoRig
 
 _CROPPED_PX = 2  # largest number of rows or columns that video codecs crop
 _ASPECT_TOLERANCE = 0.01  # largest relative difference of aspect ratios at which a calibration is scaled
-# Largest distance of the principal point from the middle / image width: up to 0.036 in 28 cameras of KITTI, KITTI-360,
+# Largest distance of the principal point from the middle / image width: up to 0.036 in the cameras of KITTI, KITTI-360,
 # EuRoC, Cityscapes, nuScenes, TuSimple, OAK-D and others, 0.047 in one; 0.10 in Middlebury's crops. Above 0.07: doubt.
 _CENTRED, _OFF_CENTRE = 0.05, 0.07
 _USUAL_FOV_DEG = (20.0, 130.0)  # horizontal field of view of pinhole cameras for driving
@@ -36,22 +36,18 @@ class FocalAlternative(NamedTuple):
 
     factor: float  # by which the distances are too long if it holds
     cause: str  # what would have happened, for messages
-    is_shown: bool  # whether something speaks for it (the principal point); False = it cannot be excluded
 
 
 def size_alternatives(camera: PinholeCamera, size_px: tuple[int, int]) -> tuple[FocalAlternative, ...]:
-    """Other readings of a camera as its file has it, for images of `size_px` = (width, height)."""
+    """Readings of a camera as its file has it for which the principal point speaks; `size_px` is (width, height)."""
     size = camera.size_px if camera.width_px else size_px
     width = size[0]
-    others: list[FocalAlternative] = []
-    if abs(camera.cx_px - (width - 1) / 2) > _OFF_CENTRE * width:
-        for other in _centred_sizes(camera, size):
-            cause = f"K is that of images of {other[0]}x{other[1]} px, which were resized"
-            others.append(FocalAlternative(other[0] / width, cause, is_shown=True))
-    if camera.width_px and not is_size_of(camera, size_px):
-        cause = f"the images of {size_px[0]}x{size_px[1]} px are a crop of those of the calibration, not resized"
-        others.append(FocalAlternative(size_px[0] / width, cause, is_shown=False))
-    return tuple(others)
+    if abs(camera.cx_px - (width - 1) / 2) <= _OFF_CENTRE * width:
+        return ()
+    return tuple(
+        FocalAlternative(w / width, f"K is that of images of {w}x{h} px, which were resized")
+        for w, h in _centred_sizes(camera, size)
+    )
 
 
 def _centred_sizes(camera: PinholeCamera, size_px: tuple[int, int]) -> list[tuple[int, int]]:
@@ -98,7 +94,7 @@ def fitted_to_size(
             f"part of the sensor, it is {camera.fx_px:.0f} px, and distances are {camera.width_px / width:.2f} times "
             "as long: then give the calibration of these images.",
         )
-    doubts = [other for other in size_alternatives(camera, size_px) if other.is_shown]
+    doubts = size_alternatives(camera, size_px)
     if doubts:
         own = camera.size_px if camera.width_px else size_px
         likely, sizes = doubts[0], _centred_sizes(camera, own)
@@ -137,7 +133,7 @@ def analogue_alternatives(size_px: tuple[int, int]) -> tuple[FocalAlternative, .
         return ()
     aspects = {shape: shape[0] * size_px[1] / (shape[1] * size_px[0]) for shape in ((4, 3), (16, 9))}
     return tuple(
-        FocalAlternative(math.sqrt(aspect), f"shown as {w}:{h}, pixels are {aspect:.2f} times as wide as high", True)
+        FocalAlternative(math.sqrt(aspect), f"shown as {w}:{h}, pixels are {aspect:.2f} times as wide as high")
         for (w, h), aspect in aspects.items()
     )
 

@@ -1,4 +1,4 @@
-"""Doubt about what the program was told, from drawn drives of road users with known sizes."""
+"""Doubt about baseline, focal length, speed and camera height, from drawn drives of road users of known sizes."""
 
 import math
 
@@ -37,7 +37,7 @@ def check_of(
     is_steady=True,
     **given,
 ):
-    """The check after a drive with `n` cars, in which what was told is wrong by the factors `rig`, `speed`, `focal`.
+    """The check after a drive with `n` cars; baseline, speed and focal length are wrong by `rig`, `speed` and `focal`.
 
     All distances by size are `sizes` times as long as they should be; None = drawn.
     """

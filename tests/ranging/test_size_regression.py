@@ -142,14 +142,16 @@ def test_width_of_a_box_with_a_hidden_side_is_not_used(nearer, is_hidden):
     boxes = tracks_of([300, 200, 360, 250], (HIDING | SHOWING)[nearer])
     assert have_hidden_sides(boxes.xyxy_px)[0] == is_hidden
     curves = SizeCurves({"car": flat(1.5, per_log_width=-0.5)}, {"car": flat(1.5)})
-    distance_m = SizeRanger(CAMERA, curves).measure(boxes, FRAME).distance_m[0]
+    distance_m = SizeRanger(CAMERA, curves, has_visible_boxes=True).measure(boxes, FRAME).distance_m[0]
     assert (distance_m == pytest.approx(30.0)) == is_hidden
+    assert SizeRanger(CAMERA, curves).measure(boxes, FRAME).distance_m[0] != pytest.approx(30.0)  # boxes of labels
 
 
 def test_packaged_priors_with_a_hidden_side():
     """Of a car, a nearer one leaves a third visible: the distance remains that by height, and sigma grows."""
     whole = SizeRanger(CAMERA).measure(tracks_of([300, 200, 360, 250]), FRAME)
-    parts = SizeRanger(CAMERA).measure(tracks_of([300, 200, 320, 250], [320, 190, 440, 280]), FRAME)
+    ranger = SizeRanger(CAMERA, has_visible_boxes=True)
+    parts = ranger.measure(tracks_of([300, 200, 320, 250], [320, 190, 440, 280]), FRAME)
     assert parts.distance_m[0] == pytest.approx(1.53 / 50 * 1000, rel=0.08)
     assert whole.sigma_m[0] / whole.distance_m[0] < parts.sigma_m[0] / parts.distance_m[0] < 0.2
     assert not have_hidden_sides(np.zeros((0, 4))).size

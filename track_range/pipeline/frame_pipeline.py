@@ -21,6 +21,7 @@ from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import EgoMotion
 from track_range.tracking.registry import ObjectTracker, checked_tracks
 
+_GIVEN_SPEED: frozenset[Cause] = frozenset({"speed"})
 _OF_ODOMETRY: frozenset[Cause] = frozenset({"baseline", "focal length", "camera height"})
 
 
@@ -38,6 +39,7 @@ class FramePipeline:
     # camera's axis
     warning: CollisionWarning | None = field(default_factory=CollisionWarning)
     scale_check: ScaleCheck | None = None  # of what was given; None = off
+    has_visible_boxes: bool = False  # as in `MethodContext`
     shared_sigma: float = 0.0  # relative error shared by all methods, from an uncalibrated focal length
     notes: tuple[str, ...] = ()  # messages for the user about the parts of the pipeline
     clock: StageClock = field(default_factory=StageClock)  # time spent in each stage
@@ -45,7 +47,7 @@ class FramePipeline:
     _causes: dict[str, frozenset[Cause]] = field(init=False)  # what scales the distances of each method
 
     def __post_init__(self) -> None:
-        self._fusion = FusionStage(self.camera)
+        self._fusion = FusionStage(self.camera, has_visible_boxes=self.has_visible_boxes)
         has_rig = self.scale_check is not None and self.scale_check.baseline_m is not None
         self._causes = {
             method.name: causes_of([source.name for source in method.error_sources], has_rig=has_rig)
@@ -93,9 +95,13 @@ class FramePipeline:
             if doubt is not None and ego.given is None:  # odometry has the scale of the cameras
                 ego_sigma_mps = math.hypot(ego_sigma_mps, doubt.sigma_of(_OF_ODOMETRY) * ego_mps)
             # neither fusion nor filtering reduces what methods have in common; times to collision do not contain it
+            unused = frozenset[Cause]() if self.ego.trusts_speed else _GIVEN_SPEED
+            in_doubt = {
+                name: 0.0 if doubt is None else doubt.sigma_of(of - unused) for name, of in self._causes.items()
+            }
             for name, measured in ranges.items():
                 method = name.removesuffix("_kf")
-                shared = math.hypot(self.shared_sigma, 0.0 if doubt is None else doubt.sigma_of(self._causes[method]))
+                shared = math.hypot(self.shared_sigma, in_doubt[method])
                 if shared:
                     sigma_m = np.hypot(measured.sigma_m, shared * measured.distance_m)
                     ranges[name] = replace(measured, sigma_m=sigma_m)

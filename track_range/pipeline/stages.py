@@ -225,9 +225,13 @@ class RangingStage:
 
 
 class FusionStage:
-    """Fuses the distances of the methods, and filters distances and lateral positions over time."""
+    """Fuses the distances of the methods, and filters distances and lateral positions over time.
 
-    def __init__(self, camera: PinholeCamera) -> None:
+    `has_visible_boxes` is that of `MethodContext`.
+    """
+
+    def __init__(self, camera: PinholeCamera, *, has_visible_boxes: bool = False) -> None:
+        self._has_visible_boxes = has_visible_boxes
         self._camera, self._fusion, self._lateral = camera, Fusion(), LateralFilters(camera)
         self._filters = DistanceFilters(noise_shares())
 
@@ -244,7 +248,9 @@ class FusionStage:
             ego_speed_mps=ego.speed_mps,
             ego_sigma_mps=ego.speed_sigma_mps,
             cut=CutBoxes.of(tracks, self._camera),
-            is_hidden=have_hidden_sides(tracks.xyxy_px) & (fused.scale_source == ScaleSource.ASSUMED),
+            is_hidden=have_hidden_sides(tracks.xyxy_px) & (fused.scale_source == ScaleSource.ASSUMED)
+            if self._has_visible_boxes
+            else None,
         )
         ranges |= {f"{name}_kf": state.ranges for name, state in filtered.items()}
         motion = filtered["fused"]

@@ -27,4 +27,7 @@ def check_baseline(
     for _ in run:
         pass
     check = run.session.pipeline.scale_check
-    return BaselineCheck("", {}) if check is None else BaselineCheck(" ".join(check.notes), check.summary())
+    if check is None:
+        return BaselineCheck("", {})
+    sentence = check.agreement.sentence if check.doubt is None else check.doubt.sentence(check.baseline_m)
+    return BaselineCheck(sentence, check.summary())

@@ -43,7 +43,6 @@ from track_range.run.settings import PipelineOptions, RunSettings
 from track_range.run.settings_files import options_and_objects, pipeline_options
 from track_range.stereo.alignment.file import load_alignment
 from track_range.stereo.alignment.model import Alignment
-from track_range.stereo.alignment.pair_finding import PairFinding
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.geometry.rig_checks import check_camera
@@ -336,7 +335,8 @@ class _Opened:
         self._monitor = None if stepwise is None or rig is None else PairMonitor(rig)
         self._sync = SyncMonitor()
         # The alignment for the next frame is estimated while the caller waits for that frame.
-        self._is_given, self._has_stereo = stepwise is not None and stepwise.current is not None, True
+        self._is_given = stepwise is not None and stepwise.current is not None
+        self._has_stereo = self._monitor is None  # not before the first pairs are explained
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="alignment")
         self._pending: Future[PairAlignment | None] | None = None
 
@@ -368,35 +368,43 @@ class _Opened:
         self._apply()
         recorded = self.calibration.frame_of(images, index, time_s)
         (frame,) = self._sync.add(recorded)
+        has_stereo, finding = self._has_stereo, None
         if self._monitor is not None:
             was_known = self._monitor.finding is not None
             self._monitor.add(frame)
-            if not was_known:
-                self._repair(self._monitor.finding)
-        if not self._has_stereo:
-            frame = replace(frame, right=None)
-        result = self._stages.step(self._stages.detected(frame), known)
-        if self._stepwise is not None and self._stepwise.is_active and frame is recorded:
+            finding = self._monitor.finding
+            has_stereo = self._has_stereo if was_known else self._checked(self._monitor, is_first=index == 0)
+        shown = frame if has_stereo else replace(frame, right=None)
+        result = self._stages.step(self._stages.detected(shown), known)
+        is_usable = frame is recorded and (finding is None or finding.has_stereo)
+        if self._stepwise is not None and self._stepwise.is_active and is_usable:
             unaligned = frame  # the alignment is estimated without the correction of rows and shifts
             if self.calibration.rectifier is not self._unaligned.rectifier:
                 unaligned = self._unaligned.frame_of(images, index, time_s)
             self._pending = self._thread.submit(self._stepwise.add, unaligned, frame)
         return result
 
-    def _repair(self, finding: PairFinding | None) -> None:
-        """Apply the explanation of the first pairs from the next frame on, but leave out stereo from this one on."""
-        if finding is None or self._stepwise is None:
-            return
-        if self._is_given and self._monitor is not None:
-            self._monitor.finding = finding = finding.uncorrected()
-        self._has_stereo = finding.has_stereo
+    def _checked(self, monitor: PairMonitor, *, is_first: bool) -> bool:
+        """Whether the frame that was checked has stereo: not before the first pairs are explained, nor if repaired.
+
+        With a given alignment the first pair decides until then.
+        """
+        if monitor.finding is None or self._stepwise is None:
+            if is_first and self._is_given:
+                self._has_stereo = monitor.has_stereo_so_far
+            return self._has_stereo
+        if self._is_given:
+            monitor.finding = monitor.finding.uncorrected()
+        finding = monitor.finding
+        self._has_stereo, is_repaired = finding.has_stereo, finding.fault in ("verged", "turned")
         if finding.fault == "turned":
             self._unaligned, self.calibration = self._unaligned.turned(), self.calibration.turned()
-        if self._has_stereo and not self._is_given and finding.fault in ("verged", "turned"):
+        if is_repaired and not self._is_given:
             self._pending = None
             self._stepwise.restart(finding.prior)
             if self._stepwise.current is not None:
                 self._unaligned = self.calibration = self._unaligned.with_alignment(self._stepwise.current)
+        return self._has_stereo and not is_repaired
 
     def _apply(self) -> None:
         """Use the alignment that was estimated since the last frame."""

@@ -100,11 +100,11 @@ class RecordingCalibration:
     def focal_sigma(self) -> float:
         """Relative standard deviation of the focal length, which all distances share; 0 = calibrated.
 
-        It covers the alternatives for which something speaks.
+        It covers the alternatives.
         """
         if self.focal is not None:
             return self.focal.sigma
-        shown = max((abs(1 - 1 / other.factor) for other in self.alternatives if other.is_shown), default=0.0)
+        shown = max((abs(1 - 1 / other.factor) for other in self.alternatives), default=0.0)
         return math.hypot(shown, 0.0 if self.mounting is None else self.mounting.focal_sigma)
 
     @property

@@ -196,7 +196,8 @@ class StepwiseAlignment:
         if not estimated.measured.is_measured:
             if self._is_final:  # the view was blocked, or without texture: look again
                 self._start()
-            return None
+            if estimated.measured.residual_px <= self.at(unaligned.time_s).residual_px:
+                return None
         self.current = estimated
         if self._is_final:
             self._drift = estimated.drift_monitor(self._rig)

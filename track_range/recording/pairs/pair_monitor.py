@@ -74,6 +74,11 @@ class PairMonitor:
         return self.finding
 
     @property
+    def has_stereo_so_far(self) -> bool:
+        """Whether the pairs so far can be ranged, although they may not be enough for an explanation."""
+        return find_fault(self._evidence.figures(), self._rig).has_stereo
+
+    @property
     def row_offset_px(self) -> float | None:
         """The vertical offset that makes rows of an uncalibrated pair equal; None = there is none."""
         if self.finding is None or self.finding.fault not in ("fits", "verged", "unsteady"):

@@ -31,6 +31,7 @@ Side = Literal["left", "right"]
 Kind = Literal["repeated", "lag", "apart"]
 Action = Literal["stereo off", "re-paired"]
 
+_MAX_FINDINGS = 500  # largest number that is kept: one side may repeat every second image for hours
 MAX_LAG = 5  # longest lag that is searched, in frames
 _MIN_STEP_S, _STEPS = 0.07, (-1, -2, -3, 1, 2, 3)  # time between the two left images of a measurement, and its frames
 _SAME, _OTHER = 0.4, 0.6  # largest lag in frames of simultaneous images, and smallest one of others
@@ -144,7 +145,8 @@ class SyncMonitor:
             action: Action = "stereo off" if is_off else "re-paired"
             if before is None or (before.kind, before.side, before.lag_frames) != (kind, side, abs(shift)):
                 before = SyncFinding(frame.index, frame.time_s, side, kind, abs(shift), 0, action)
-                self.findings.append(before)
+                if len(self.findings) < _MAX_FINDINGS:
+                    self.findings.append(before)
             before.frames += 1
             before.action = action if action == "re-paired" else before.action  # the first frames may lack a partner
             self._last = before
