@@ -91,7 +91,7 @@ class SizeRanger(Ranger):
             box_errors: systematic errors of the detector's boxes; None = an unknown detector, or with `box_sigma_px` no
                 such errors.
             parallax: triangulation of static objects, which corrects their tracks; None = off.
-            has_visible_boxes: whether boxes end where a nearer object hides theirs, as those of a detector.
+            has_visible_boxes: whether boxes end where a nearer object begins, as those of a detector.
         """
         self._has_visible_boxes = has_visible_boxes
         self._parallax = parallax
