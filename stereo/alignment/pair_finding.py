@@ -46,6 +46,10 @@ _MIN_YAW_DEG, _CLEAR_YAW_DEG, _SMALL_YAW, _CLEAR_YAW, _MAX_REST = 0.5, 1.5, 1.05
 _MIN_ROWS_PX = 1.5  # smallest error of rows that is corrected here
 CORRECTED = "corrected, but calibrate again."
 GIVEN = "--align auto corrects it; with the given alignment, distances come from the left video alone."
+LATER = (
+    "not seen before the vehicle moved, so distances come from the left video alone; start the run where it moves "
+    "(--start), or calibrate again."
+)
 _ARRANGED = {
     "turned": "upside down (turned by 180 degrees)",
     "mirrored": "mirrored left to right",
@@ -61,11 +65,11 @@ class PairFinding:
     sentence: str = ""  # for the user: what was found, and what to do; empty = no message
     prior: Alignment = NOT_MEASURED  # correction of the images with which the alignment starts
 
-    def uncorrected(self) -> PairFinding:
-        """The finding in a run whose alignment is given: without stereo, if images need a correction."""
+    def uncorrected(self, why: str = GIVEN) -> PairFinding:
+        """The finding in a run that shifts no images: without stereo, if they need it; `why` ends the sentence."""
         if self.fault != "verged":
             return self
-        return replace(self, fault="refused", sentence=self.sentence.replace(CORRECTED, GIVEN))
+        return replace(self, fault="refused", sentence=self.sentence.replace(CORRECTED, why))
 
     @property
     def has_stereo(self) -> bool:

@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 
 from track_range.foundation.arrays import Image
+from track_range.recording.pairs.pair_monitor import PairMonitor
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
 from track_range.simulation.world.scene import make_scene
 from track_range.stereo.alignment.pair_evidence import PairEvidence
 from track_range.stereo.alignment.pair_finding import PairFinding, find_fault
+from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.rig_formats.reading import load_rig
 
@@ -105,6 +107,20 @@ def test_swapped_videos_of_a_standing_vehicle() -> None:
     assert found([(right, left)] * 3).fault == "swapped"
     assert found([(turned(left), turned(right))] * 3).fault == "turned"
     assert not found([(left, shifted(right, 25.0))] * 3).has_stereo  # without motion, other faults look the same
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("offset_px", "fault"), [(0.0, "fits"), (30.0, "verged")])
+def test_the_first_motion_after_a_stop_is_checked_again(offset_px: float, fault: str) -> None:
+    pairs = [(left, shifted(right, -offset_px)) for left, right in of_drive()]
+    monitor = PairMonitor(RIG)
+    for number in range(60):  # 6 s at rest
+        monitor.add(Frame(number, number / 10, *pairs[0]))
+    assert monitor.finding == PairFinding("fits")
+    for number, (left, right) in enumerate((pairs + pairs[-2:0:-1]) * 3, 61):
+        monitor.add(Frame(number, number / 10, left, right))
+    assert monitor.finding.fault == fault
+    assert ("px too large" in monitor.finding.sentence) == (fault == "verged")
 
 
 @pytest.mark.slow

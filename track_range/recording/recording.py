@@ -42,7 +42,7 @@ from track_range.recording.utc import UtcStart, parsed_utc
 from track_range.stereo.alignment.drift import DriftMonitor
 from track_range.stereo.alignment.from_drive import MIN_STEP_S
 from track_range.stereo.alignment.model import Alignment, AlignmentSource
-from track_range.stereo.alignment.pair_finding import PairFinding
+from track_range.stereo.alignment.pair_finding import LATER, PairFinding
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
@@ -337,6 +337,8 @@ def _frames(
     """All frames, each passed to the monitors; closing the generator closes the videos."""
     video = source.left if isinstance(source, VideoPair) else source
     sync = next((monitor for monitor in monitors if isinstance(monitor, SyncMonitor)), None)
+    check = next((monitor for monitor in monitors if isinstance(monitor, PairMonitor)), None)
+    explained, has_stereo = None if check is None else check.finding, True
     with closing(source), closing(iter(source)) as images:
         pairs = (image if isinstance(image, tuple) else (image, None) for image in images)
         frames = (calibration.frame(left, right, video.first_time_s, utc or video.utc) for left, right in pairs)
@@ -344,4 +346,7 @@ def _frames(
             for monitor in monitors:
                 if not isinstance(monitor, SyncMonitor):
                     monitor.add(frame)
-            yield frame
+            if check is not None and check.finding is not explained and check.finding is not None:
+                check.finding = explained = check.finding.uncorrected(LATER)
+                has_stereo = explained.has_stereo
+            yield frame if has_stereo else replace(frame, right=None)

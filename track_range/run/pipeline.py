@@ -370,10 +370,11 @@ class _Opened:
         (frame,) = self._sync.add(recorded)
         has_stereo, finding = self._has_stereo, None
         if self._monitor is not None:
-            was_known = self._monitor.finding is not None
+            before = self._monitor.finding
             self._monitor.add(frame)
+            is_same = before is not None and before is self._monitor.finding
+            has_stereo = self._has_stereo if is_same else self._checked(self._monitor, is_first=index == 0)
             finding = self._monitor.finding
-            has_stereo = self._has_stereo if was_known else self._checked(self._monitor, is_first=index == 0)
         shown = frame if has_stereo else replace(frame, right=None)
         result = self._stages.step(self._stages.detected(shown), known)
         is_usable = frame is recorded and (finding is None or finding.has_stereo)

@@ -18,6 +18,7 @@ MAX_CHECKED_PAIRS = 10  # largest number of pairs that are checked
 _N_PAIRS = 7  # number of pairs that are enough in motion
 _MIN_FLOW_PX = 3.0  # median motion from which the camera moves
 _WAIT_S = 0.4  # longest time between two pairs, without motion
+_WAIT_AT_REST_S = 1.0  # the same after the first explanation, which lacks the evidence of motion
 _MAX_FRAMES = round(MAX_CHECKED_PAIRS * _WAIT_S / MIN_STEP_S)  # number of frames with so many pairs
 
 _UNMATCHED = (
@@ -29,7 +30,10 @@ _MAX_ROW_OFFSET_PX = 1.5  # vertical offset above which the user is warned if it
 
 
 class PairMonitor:
-    """Checks the first pairs, which are rectified to `rig`, and explains what does not fit."""
+    """Checks the first pairs, which are rectified to `rig`, and explains what does not fit.
+
+    Pairs at rest do not show errors that all disparities have in common: the first pairs in motion are checked again.
+    """
 
     def __init__(self, rig: StereoRig) -> None:
         self.finding: PairFinding | None = None  # None = not known yet
@@ -38,23 +42,33 @@ class PairMonitor:
         self._row_fraction = 0.0
         self._rig, self._evidence = rig, PairEvidence(rig.left)
         self._next_s, self._wait_s, self._n_moving = -math.inf, MIN_STEP_S, 0
+        self._is_at_rest = False  # whether the pairs that were explained show no motion
+        self._is_finished = False
 
     def add(self, frame: Frame) -> None:
         """Check a frame, if it is due; raises RigError once left and right are known to be swapped."""
         if self.finding is not None:
             self.finish()
-        if self.finding is not None or frame.right is None or frame.time_s < self._next_s:
+        if self._is_finished or frame.right is None or frame.time_s < self._next_s:
             return
         self._evidence.add(frame.left, whole_image(frame.right))
         is_moving = self._evidence.flow_px > _MIN_FLOW_PX
         self._n_moving += is_moving
         n_pairs = self._evidence.n_pairs
-        if n_pairs > 1 and not is_moving:
+        if self._is_at_rest:
+            self._is_at_rest = not is_moving
+            if is_moving or n_pairs >= MAX_CHECKED_PAIRS:
+                self._evidence, self._n_moving = PairEvidence(self._rig.left), 0
+                n_pairs = 0
+            self._wait_s = _WAIT_AT_REST_S if self._is_at_rest else MIN_STEP_S
+        elif n_pairs > 1 and not is_moving:
             self._wait_s = min(2 * self._wait_s, _WAIT_S)
         elif self._evidence.flow_px > 4 * _MIN_FLOW_PX:
             self._wait_s = MIN_STEP_S
         self._next_s = frame.time_s + 0.99 * self._wait_s
-        if n_pairs >= MAX_CHECKED_PAIRS or (n_pairs >= _N_PAIRS and self._n_moving >= _N_PAIRS // 2):
+        is_enough = n_pairs >= MAX_CHECKED_PAIRS or (n_pairs >= _N_PAIRS and self._n_moving >= _N_PAIRS // 2)
+        if is_enough and not self._is_at_rest:
+            self._explain()
             self.finish()
 
     def watch(self, frames: Iterable[Frame]) -> None:
@@ -64,14 +78,22 @@ class PairMonitor:
                 return
 
     def finish(self) -> PairFinding | None:
-        """The explanation of the pairs so far, None without any; no other pair will be checked."""
+        """The explanation of the pairs so far, None without any; of others, only the first in motion are checked."""
         if self.finding is None and self._evidence.n_pairs:
-            figures = self._evidence.figures()
-            self.finding, self.view = find_fault(figures, self._rig), figures.view
-            self._row_fraction = figures.row_fraction
+            self._explain()
         if self.finding is not None and self.finding.fault == "swapped":
             raise RigError(self.finding.sentence)
         return self.finding
+
+    def _explain(self) -> None:
+        figures = self._evidence.figures()
+        finding = find_fault(figures, self._rig)
+        if self.finding is None:
+            self.finding, self.view, self._row_fraction = finding, figures.view, figures.row_fraction
+            self._is_at_rest = not self._n_moving and finding.fault == "fits"
+        elif finding.fault in ("verged", "refused"):
+            self.finding = finding
+        self._is_finished = not self._is_at_rest
 
     @property
     def has_stereo_so_far(self) -> bool:
