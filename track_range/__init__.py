@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from track_range.api.evaluation import (
         evaluate_events as evaluate_events,
+        evaluate_motion as evaluate_motion,
         evaluate_ranges as evaluate_ranges,
         evaluate_stereo as evaluate_stereo,
         evaluate_tracks as evaluate_tracks,
@@ -113,7 +114,7 @@ _NAMES = {
     "stereo.geometry.rectification": "Rectifier",
     "stereo.alignment.file": "load_alignment",
     "views.overlay.annotator": "Overlay",
-    "api.evaluation": "evaluate_events evaluate_ranges evaluate_stereo evaluate_tracks",
+    "api.evaluation": "evaluate_events evaluate_motion evaluate_ranges evaluate_stereo evaluate_tracks",
     "detection.evaluation": "evaluate_detections",
     "detection.evaluation.object_sizes": "evaluate_detections_by_size=evaluate_by_size",
     "detection.evaluation.score_calibration": "evaluate_score_calibration=evaluate_calibration",

@@ -8,6 +8,8 @@ from typing import Any
 from track_range.calibration.settings import StereoEvaluationSettings
 from track_range.evaluation.events.evaluate import evaluate_events as _evaluate_events
 from track_range.evaluation.events.settings import EventEvaluationSettings
+from track_range.evaluation.motion.evaluate import evaluate_motion as _evaluate_motion
+from track_range.evaluation.motion.settings import MotionEvaluationSettings
 from track_range.evaluation.sequences.evaluation import evaluate_tracks as _evaluate_tracks
 from track_range.evaluation.sequences.settings import TrackEvaluationSettings
 from track_range.evaluation.stereo_evaluation import evaluate_stereo as _evaluate_stereo
@@ -30,6 +32,21 @@ def evaluate_ranges(labels: str | Path, calib: str | Path, **options: Any) -> di
         LabelFileError, RigError, CurveError: a file cannot be used.
     """
     return _evaluate_ranges(RangeEvaluationSettings.of({"labels": labels, "calib": calib, **options}))
+
+
+@KeywordsInErrors(MotionEvaluationSettings)
+def evaluate_motion(labels: str | Path, **options: Any) -> dict[str, Any]:
+    """Errors of closing speeds, speeds over ground and times to collision; as `track-range evaluate motion --json`.
+
+    Args:
+        labels: folder of KITTI tracking labels, or the labels of another data set (`data="nuscenes"`).
+        options: options of the command, with underscores: `calib="calib"`, `poses="poses"`, `noise_px=2`.
+
+    Raises:
+        UsageError: an option is unknown, invalid or missing.
+        LabelFileError, RigError: a file cannot be used.
+    """
+    return _evaluate_motion(MotionEvaluationSettings.of({"labels": labels, **options}))
 
 
 @KeywordsInErrors(StereoEvaluationSettings)

@@ -1,4 +1,4 @@
-"""`track-range evaluate`: errors of tracks, distances, events, detectors and stereo matchers against labels."""
+"""`track-range evaluate`: errors of tracks, distances, motion, events, detectors and stereo matchers against labels."""
 
 from __future__ import annotations
 
@@ -38,6 +38,17 @@ app = lazy_app(
             examples=(
                 "track-range evaluate ranges --labels label_02/ --calib calib/",
                 "track-range evaluate ranges --labels label_02/ --calib calib/ --noise-px 2",
+            ),
+        ),
+        "motion": Lazy(
+            "track_range.cli.commands.evaluate.motion",
+            "Errors of closing speed, speed over ground and time to collision, and false alarms.",
+            "Measured from labelled boxes of drives with poses, without a video. An answer counts where the sigma of "
+            "the speed is below 1.5 m/s; each alarm on a drive without a contact is a false alarm.",
+            (
+                "track-range evaluate motion --labels label_02/ --calib calib/ --poses poses/ --noise-px 2",
+                "track-range evaluate motion --labels label_02/ --calib calib/ --poses poses/ \\\n"
+                "      --boxes rrc:detections --json motion.json",
             ),
         ),
         "events": Lazy(

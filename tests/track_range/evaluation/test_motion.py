@@ -1,0 +1,180 @@
+"""Closing speed, speed over ground, time to collision and warnings against labelled motion."""
+
+import json
+
+import numpy as np
+import pytest
+
+from tests.track_range.labelled_drives import F_PX, row
+from track_range.detection.formats.errors import LabelFileError
+from track_range.evaluation.motion.labelled_motion import kitti_motion, track_slopes
+from track_range.evaluation.motion.measured_motion import MeasuredMotion
+from track_range.evaluation.motion.scores import motion_figures, speed_figures, ttc_figures
+from track_range.foundation.errors import UsageError
+from track_range.ranging.fitting.labelled_boxes import FRAME_STEP_S
+
+EGO_MPS, LEAD_MPS, N_FRAMES = 10.0, 6.0, 45
+
+
+@pytest.fixture
+def drive(tmp_path):
+    """A parked car 3 m beside the path, and one ahead that drives at 6 m/s, from a camera at 10 m/s, without turns."""
+    for name in ("labels", "calib", "poses"):
+        (tmp_path / name).mkdir()
+    times_s = FRAME_STEP_S * np.arange(N_FRAMES)
+    rows = []
+    for frame, t in enumerate(times_s):
+        rows.append(row(frame, 1, "Car", 70.0 - EGO_MPS * t, x_m=3.0))
+        rows.append(row(frame, 2, "Car", 40.0 - (EGO_MPS - LEAD_MPS) * t))
+    (tmp_path / "labels/0001.txt").write_text("\n".join(rows) + "\n")
+    (tmp_path / "calib/0001.txt").write_text(f"P2: {F_PX} 0 600 0 0 {F_PX} 180 0 0 0 1 0\n")
+    pose = [f"1 0 0 0 0 1 0 0 0 0 1 {EGO_MPS * t}" for t in times_s]
+    (tmp_path / "poses/0001.txt").write_text("\n".join(pose) + "\n")
+    return tmp_path / "labels", tmp_path / "calib", tmp_path / "poses"
+
+
+def test_true_motion_is_that_of_the_drive(drive):
+    truth = kitti_motion(*drive)
+    is_parked = truth.boxes.track_id == 1
+    inner = (truth.boxes.frame >= 3) & (truth.boxes.frame < N_FRAMES - 3)
+    assert (np.isfinite(truth.closing_mps) == inner).all()  # at least 0.3 s before and after
+    assert truth.closing_mps[inner & is_parked] == pytest.approx(EGO_MPS, abs=1e-3)
+    assert truth.closing_mps[inner & ~is_parked] == pytest.approx(EGO_MPS - LEAD_MPS, abs=1e-3)
+    assert truth.speed_mps[inner & is_parked] == pytest.approx(0.0, abs=1e-3)
+    assert truth.speed_mps[inner & ~is_parked] == pytest.approx(LEAD_MPS, abs=1e-3)
+    assert truth.ego_mps == pytest.approx(EGO_MPS)
+    assert truth.yaw_rad_s == pytest.approx(0.0)
+    first = inner & ~is_parked & (truth.boxes.frame == 10)
+    rear_m = 40.0 - 4.0 * FRAME_STEP_S * 10
+    assert truth.ttc_s[first] == pytest.approx(rear_m / 4.0, rel=2e-3)
+    assert truth.duration_s == pytest.approx(N_FRAMES * FRAME_STEP_S)
+
+
+def test_yaw_of_the_camera_is_no_speed_of_objects(drive):
+    """The camera stands and turns to the right by 0.1 rad/s: a standing car moves in its frame, but not over ground."""
+    labels, calib, poses = drive
+    angles = 0.1 * FRAME_STEP_S * np.arange(N_FRAMES)
+    rows, pose = [], []
+    for frame, a in enumerate(angles):
+        x_m, z_m = np.cos(a) * 2.0 - np.sin(a) * 32.0, np.sin(a) * 2.0 + np.cos(a) * 32.0
+        rows.append(row(frame, 1, "Car", z_m - 2.0, x_m=x_m))  # its centre is 2 m behind its rear
+        pose.append(f"{np.cos(a)} 0 {np.sin(a)} 0 0 1 0 0 {-np.sin(a)} 0 {np.cos(a)} 0")
+    (labels / "0001.txt").write_text("\n".join(rows) + "\n")
+    (poses / "0001.txt").write_text("\n".join(pose) + "\n")
+    truth = kitti_motion(labels, calib, poses)
+    known = np.isfinite(truth.speed_mps)
+    assert truth.yaw_rad_s == pytest.approx(0.1)
+    assert truth.speed_mps[known] == pytest.approx(0.0, abs=2e-3)
+    assert truth.ego_mps == pytest.approx(0.0)
+    early = known & (truth.boxes.frame == 5)
+    assert truth.closing_mps[early] == pytest.approx(-0.1 * truth.boxes.x_m[early], abs=2e-3)
+
+
+def test_exact_boxes_give_the_true_motion(drive, cli, tmp_path):
+    labels, calib, poses = drive
+    arguments = ("--labels", labels, "--calib", calib, "--poses", poses, "--json", tmp_path / "f.json")
+    status, printed, _ = cli("evaluate", "motion", *arguments)
+    assert status == 0, printed
+    figures = json.loads((tmp_path / "f.json").read_text())
+    near = figures["bands"]["10-40"]
+    assert set(near) == {"n", "coverage", "median_mps", "p95_mps", "within_1_sigma", "within_2_sigma"}
+    assert 0 <= near["median_mps"] < 0.15
+    assert 0.8 < near["coverage"] <= 1.0
+    assert figures["by_class"]["car"]["10-40"] == near
+    assert figures["speed"]["bands"]["10-40"]["median_mps"] < 0.15
+    assert set(figures["ttc"]["below_6_s"]) >= {"n", "median_pct", "rte_pct", "mid"}
+    assert 0 < figures["ttc"]["below_20_s"]["rte_pct"] < 10
+    assert figures["warnings"]["hours"] == pytest.approx(N_FRAMES * FRAME_STEP_S / 3600, abs=1e-4)
+    assert figures["warnings"]["false_alarms"] == 0
+    assert "Time to collision" in printed
+
+
+def test_slopes_need_labels_on_both_sides():
+    time_s = np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 5.0])
+    key = np.zeros((1, 8), np.int64)
+    slopes = track_slopes(key, time_s, np.stack([2 * time_s, time_s**2], axis=1))
+    assert np.isfinite(slopes[:, 0]).tolist() == [False, False, False, True, False, False, False, False]
+    assert slopes[3] == pytest.approx([2.0, 0.6])  # the slope of t^2 at 0.3 s over a symmetrical span
+
+
+def test_speed_figures_by_hand():
+    """Errors of 0.5, 1 and 3 m/s in four labels with a truth; one sigma is too large for an answer."""
+    true = np.array([5.0, 5.0, 5.0, 5.0, np.nan])
+    speed, sigma = np.array([5.5, 4.0, 8.0, 5.0, 5.0]), np.array([0.6, 0.6, 1.0, 1.6, 0.1])
+    figures = speed_figures(np.stack([speed, sigma, true]), np.ones(5, np.bool_))
+    assert (figures["n"], figures["coverage"], figures["median_mps"]) == (4, 0.75, 1.0)
+    assert figures["p95_mps"] == pytest.approx(2.8)
+    assert figures["within_1_sigma"] == pytest.approx(1 / 3, abs=1e-3)
+    assert figures["within_2_sigma"] == pytest.approx(2 / 3, abs=1e-3)
+    assert speed_figures(np.full((3, 5), np.nan), np.ones(5, np.bool_))["coverage"] is None
+
+
+def test_errors_of_ttc_as_tsttc_defines_them():
+    """5 s measured as 4 s, 4 s as 30 s, which clipped to 20 s; one not measured, one too far away."""
+    figures = ttc_figures(np.array([4.0, 30.0, np.nan, 9.0]), np.array([5.0, 4.0, 3.0, 9.0]), 6.0)
+    assert (figures["n"], figures["coverage"]) == (2, pytest.approx(2 / 3, abs=1e-3))
+    assert figures["rte_pct"] == pytest.approx(100 * (0.2 + 4.0) / 2)
+    s = [t / (t + 0.1) for t in (4.0, 5.0, 20.0, 4.0)]
+    assert figures["mid"] == pytest.approx(1e4 * (abs(np.log(s[0] / s[1])) + abs(np.log(s[2] / s[3]))) / 2, abs=1e-3)
+
+
+def test_false_alarms_by_cause(drive):
+    """Alarms for the car ahead, and for the parked one beside the path, with right and with wrong distances."""
+    truth = kitti_motion(*drive)
+    boxes = truth.boxes
+    true_m, closing = boxes.distance_m.copy(), truth.closing_mps.copy()
+    nan = np.full(len(boxes), np.nan)
+    alarm = (boxes.frame >= 10) & (boxes.frame < 20)
+    alarm &= (boxes.track_id == 1) | (boxes.frame != 15)  # two alarms for the car ahead
+    found = MeasuredMotion(true_m, closing, 0.5 + 0 * true_m, nan, nan, nan, nan, alarm)
+    figures = motion_figures(truth, found)["warnings"]
+    assert figures["false_alarms"] == 3
+    assert figures["by_cause"] == {"driver": 2, "wrong path": 1}
+    assert figures["in_alarm_s"] == pytest.approx((9 + 4 + 3) * FRAME_STEP_S, abs=0.01)
+    assert figures["per_hour"] == pytest.approx(3 / truth.duration_s * 3600, abs=0.01)
+    true_m[boxes.track_id == 1] *= 0.8
+    closing[boxes.track_id == 2] += 2.0
+    assert motion_figures(truth, found)["warnings"]["by_cause"] == {"box error": 2, "scale": 1}
+
+
+def test_messages_name_the_option_and_the_file(drive, cli):
+    labels, calib, poses = drive
+    status, _, error = cli("evaluate", "motion", "--labels", labels, "--calib", calib)
+    assert status == 2
+    assert "--poses" in error
+    (poses / "0001.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")
+    with pytest.raises(LabelFileError, match=r"0001.txt: expected a pose for each labelled frame"):
+        kitti_motion(labels, calib, poses)
+    (poses / "0001.txt").write_text("1 2 3\n")
+    with pytest.raises(LabelFileError, match="12 numbers"):
+        kitti_motion(labels, calib, poses)
+
+
+def test_unknown_methods(drive):
+    import track_range as tr
+
+    labels, calib, poses = drive
+    with pytest.raises(UsageError, match=r"stereo.*mono"):
+        tr.evaluate_motion(labels, calib=calib, poses=poses, method="stereo")
+
+
+@pytest.mark.real
+def test_a_given_sequence(shared_data, tmp_path):
+    """Sequence 0004 of KITTI, exact boxes: fast parked and moving cars."""
+    import track_range as tr
+
+    labels = tmp_path / "label_02"
+    labels.mkdir()
+    (labels / "0004.txt").symlink_to(shared_data / "kitti_labels" / "label_02" / "0004.txt")
+    poses = shared_data / "kitti_poses"
+    if not poses.is_dir():
+        pytest.skip(f"real data not here: no folder {poses}")
+    figures = tr.evaluate_motion(labels, calib=shared_data / "kitti_labels" / "calib", poses=poses)
+    near, far = figures["bands"]["10-40"], figures["bands"]["40-80"]
+    assert (near["n"], far["n"]) == (457, 270)
+    assert 0.4 < near["coverage"] < 0.98
+    assert 0.1 < near["median_mps"] < 1.1
+    assert 0.9 < figures["speed"]["bands"]["10-40"]["within_2_sigma"] <= 1.0
+    assert 3 < figures["ttc"]["below_6_s"]["rte_pct"] < 15
+    assert figures["warnings"]["hours"] == pytest.approx(314 * FRAME_STEP_S / 3600, abs=1e-4)
+    assert figures["warnings"]["false_alarms"] <= 1

@@ -1,0 +1,68 @@
+"""`track-range evaluate motion`: closing speed, speed over ground, time to collision, warnings on labelled drives."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from track_range.cli.commands.evaluate.result_files import JsonField, check_result_files
+from track_range.cli.console import console, print_grid, print_notes
+from track_range.cli.parameters import command
+from track_range.evaluation.motion.evaluate import evaluate_motion
+from track_range.evaluation.motion.settings import MotionEvaluationSettings
+from track_range.foundation.files.output_files import write_json
+from track_range.views.report import tables
+
+
+class MotionOptions(MotionEvaluationSettings):
+    """Options of `track-range evaluate motion`."""
+
+    json_file: JsonField = None
+
+
+def _motion(options: MotionOptions) -> None:
+    check_result_files(options)
+    figures = evaluate_motion(options)
+    print_grid(console, *_grids(figures))
+    print_notes(console, figures["notes"])
+    write_json(options.json_file, figures)
+
+
+_SPEED: tuple[tables.ColumnSpec, ...] = (
+    ("n", "n", "{:.0f}"),
+    ("coverage %", "coverage", "{:.0f}", 100.0),
+    ("median m/s", "median_mps", "{:.2f}"),
+    ("95 % m/s", "p95_mps", "{:.2f}"),
+    (tables.WITHIN_1_HEADING, "within_1_sigma", "{:.0f}", 100.0),
+    (tables.WITHIN_2_HEADING, "within_2_sigma", "{:.0f}", 100.0),
+)
+_TTC: tuple[tables.ColumnSpec, ...] = (
+    ("n", "n", "{:.0f}"),
+    ("coverage %", "coverage", "{:.0f}", 100.0),
+    ("median %", "median_pct", "{:.1f}"),
+    ("RTE %", "rte_pct", "{:.1f}"),
+    ("MiD", "mid", "{:.1f}"),
+)
+_WARNINGS: tuple[tables.ColumnSpec, ...] = (
+    ("hours", "hours", "{:.2f}"),
+    ("false alarms", "false_alarms", "{:.0f}"),
+    ("per hour", "per_hour", "{:.1f}"),
+    ("in alarm s", "in_alarm_s", "{:.1f}"),
+)
+
+
+def _grids(figures: Mapping[str, Any]) -> Iterator[tables.Grid]:
+    for title, section in (("Closing speed", figures), ("Speed over ground", figures["speed"])):
+        rows = {f"all, {band} m": row for band, row in section["bands"].items()}
+        for name, by_band in section["by_class"].items():
+            rows |= {f"{name}, {band} m": row for band, row in by_band.items() if row["n"]}
+        yield tables.grid_of(title, "objects", list(rows), tables.columns_of(rows.values(), _SPEED))
+    ttc = {key.replace("_", " "): row for key, row in figures["ttc"].items()}
+    yield tables.grid_of("Time to collision", "true time", list(ttc), tables.columns_of(ttc.values(), _TTC))
+    causes = figures["warnings"]["by_cause"]
+    counts = [tables.Column(name, [count], "{:.0f}") for name, count in causes.items()]
+    columns = [*tables.columns_of([figures["warnings"]], _WARNINGS), *counts]
+    yield tables.grid_of("Warnings", "", ["all"], columns)
+
+
+app = command(MotionOptions, _motion)

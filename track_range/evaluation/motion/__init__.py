@@ -1,0 +1,1 @@
+"""Evaluation of closing speed, speed over ground, time to collision and warnings against labelled motion."""

@@ -1,0 +1,150 @@
+"""LabelledMotion: boxes with the true motion of their objects, and its reader for KITTI's labels with poses.
+
+    closing speed   -dz/dt          z: depth of the object's centre in the frame of the camera
+    speed           |dX/dt|         X: position (x, z) of the bottom centre in the frame of the first camera
+    derivatives     slope of the straight line fitted by least squares to the labels within +-0.5 s, if at least 0.3 s
+                    before and after are labelled
+
+The labels of a track before and after are used whether they are visible or not, since KITTI's 3-D boxes are from lidar.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from track_range.detection.formats.errors import LabelFileError
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.files.input_files import read_text
+from track_range.ranging.fitting.labelled_boxes import FRAME_STEP_S, BoxSelection, BoxSet, box_set
+
+HALF_SPAN_S = 0.5  # s before and after a label over which its true motion is a straight line
+_MIN_SIDE_S = 0.3  # shortest labelled time before and after a label whose motion is known
+_EGO_HALF_SPAN_S = 0.2  # the same for the ego speed, which is that of a wheel sensor
+
+
+@dataclass(frozen=True, slots=True)
+class LabelledMotion:
+    """N boxes with the true motion of their objects and of the camera."""
+
+    boxes: BoxSet
+    closing_mps: FloatArray  # (N,) true closing speed; NaN = unknown
+    speed_mps: FloatArray  # (N,) true speed over ground; NaN = unknown
+    ego_mps: FloatArray  # (N,) speed of the camera along its axis
+    yaw_rad_s: FloatArray  # (N,) its yaw rate, positive = to the right
+    duration_s: float  # of all sequences
+    protocol: str  # description of the truth
+
+    @property
+    def ttc_s(self) -> FloatArray:
+        """(N,) true time to collision, distance / closing speed, negative for objects that draw away; NaN = unknown."""
+        is_moving = np.abs(self.closing_mps) > 1e-3
+        return np.where(is_moving, self.boxes.distance_m / np.where(is_moving, self.closing_mps, 1.0), np.nan)
+
+    def select(self, rows: BoolArray | IntArray) -> LabelledMotion:
+        """The boxes selected by a mask or an index array."""
+        columns = {name: getattr(self, name)[rows] for name in ("closing_mps", "speed_mps", "ego_mps", "yaw_rad_s")}
+        return replace(self, boxes=self.boxes.select(rows), **columns)
+
+
+def kitti_motion(
+    labels: Path, calib: Path, poses: Path, *, boxes: str = "labels", noise_px: float = 0.0, seed: int = 0
+) -> LabelledMotion:
+    """Boxes of KITTI tracking labels with their true motion; the arguments are those of `box_set`.
+
+    Raises LabelFileError: labels, poses or detections cannot be read, or a label has no pose; RigError: a calibration
+    cannot be read.
+    """
+    every = box_set(labels, calib, selection=BoxSelection(has_all_objects=True, reference="centre"))
+    every = every.with_reference()
+    measured = box_set(labels, calib, boxes=boxes, noise_px=noise_px, seed=seed)
+    ego_mps, yaw_rad_s = np.full((2, len(measured)), np.nan)
+    position_m = np.full((len(every), 2), np.nan)
+    n_frames = 0
+    for number, name in enumerate(every.sequence_names):
+        pose = read_poses(poses / f"{name}.txt")
+        n_frames += len(pose)
+        rows = every.sequence == number
+        if rows.any() and every.frame[rows].max() >= len(pose):
+            raise LabelFileError(
+                f"{poses / name}.txt: expected a pose for each labelled frame, up to frame {every.frame[rows].max()}, "
+                f"found {len(pose)} poses."
+            )
+        camera_m = np.stack([every.x_m[rows], np.zeros(rows.sum()), every.distance_m[rows]], axis=1)
+        pose_of = pose[every.frame[rows]]
+        position_m[rows] = (np.einsum("nij,nj->ni", pose_of[:, :, :3], camera_m) + pose_of[:, :, 3])[:, ::2]
+        speed_mps, yaw = _ego_motion(pose)
+        rows = measured.sequence == number
+        ego_mps[rows], yaw_rad_s[rows] = speed_mps[measured.frame[rows]], yaw[measured.frame[rows]]
+
+    # Truth of all labels of a track, then that of the measured boxes.
+    values = np.column_stack([every.distance_m, position_m])
+    slopes = track_slopes(np.stack([every.sequence, every.track_id]), every.time_s, values)
+    row_of = {key: row for row, key in enumerate(_keys(every))}
+    index = np.array([row_of[key] for key in _keys(measured)], np.int64)
+    return LabelledMotion(
+        boxes=measured,
+        closing_mps=-slopes[index, 0],
+        speed_mps=np.hypot(*slopes[index, 1:].T),
+        ego_mps=ego_mps,
+        yaw_rad_s=yaw_rad_s,
+        duration_s=n_frames * FRAME_STEP_S,
+        protocol="slopes over +-0.5 s of the depth of the label's centre, and of its position by the poses",
+    )
+
+
+def _keys(boxes: BoxSet) -> list[tuple[int, int, int]]:
+    return list(zip(boxes.sequence.tolist(), boxes.track_id.tolist(), boxes.frame.tolist(), strict=True))
+
+
+def read_poses(path: Path) -> FloatArray:
+    """(N, 3, 4) poses of KITTI's odometry format; LabelFileError if the file cannot be read."""
+    lines = read_text(path, LabelFileError, "poses of 12 numbers per frame").splitlines()
+    try:
+        values = np.array([line.split() for line in lines], np.float64).reshape(len(lines), 12)
+    except ValueError as error:
+        raise LabelFileError(f"{path}: expected 12 numbers in each row, the 3 x 4 pose of a frame.") from error
+    if not len(values) or not np.isfinite(values).all():
+        raise LabelFileError(f"{path}: expected a row of 12 finite numbers per frame, found none or others.")
+    return values.reshape(-1, 3, 4)
+
+
+def _ego_motion(pose: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(N,) speed along the camera's axis and yaw rate (positive = to the right) from (N, 3, 4) poses."""
+    n, axis = len(pose), pose[:, :, 2]
+    heading_rad = np.unwrap(np.arctan2(axis[:, 0], axis[:, 2]))
+    time_s = np.arange(n, dtype=np.float64) * FRAME_STEP_S
+    values = np.column_stack([pose[:, :, 3], heading_rad])
+    slopes = track_slopes(np.zeros((1, n), np.int64), time_s, values, half_span_s=_EGO_HALF_SPAN_S, min_side_s=0.0)
+    return np.asarray((slopes[:, :3] * axis).sum(axis=1)), slopes[:, 3]
+
+
+def track_slopes(
+    key: IntArray,
+    time_s: FloatArray,
+    values: FloatArray,
+    *,
+    half_span_s: float = HALF_SPAN_S,
+    min_side_s: float = _MIN_SIDE_S,
+) -> FloatArray:
+    """(N, V) slopes per second of the values (N, V) of each track, by straight lines within the half span.
+
+    `key` (K, N) identifies tracks. NaN where less than `min_side_s` before or after is labelled, or only one label is.
+    """
+    slopes = np.full(values.shape, np.nan)
+    order = np.lexsort((time_s, *key))
+    starts = np.flatnonzero(np.any(np.diff(key[:, order], axis=1, prepend=-1) != 0, axis=0))
+    for rows in np.split(order, starts[1:]):
+        t, x = time_s[rows], values[rows]
+        dt = t[None, :] - t[:, None]  # from each row to each other one
+        near = np.abs(dt) <= half_span_s + 0.02
+        n = near.sum(axis=1)
+        mean_s = np.where(near, dt, 0.0).sum(axis=1) / n
+        weight = np.where(near, dt - mean_s[:, None], 0.0)
+        spread = (weight * dt).sum(axis=1)
+        known = (n > 1) & (np.where(near, dt, 0.0).max(axis=1) >= min_side_s - 0.02)
+        known &= np.where(near, -dt, 0.0).max(axis=1) >= min_side_s - 0.02
+        slopes[rows] = np.where(known[:, None], weight @ x / np.where(known, spread, 1.0)[:, None], np.nan)
+    return slopes

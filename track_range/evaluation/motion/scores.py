@@ -1,0 +1,138 @@
+"""Scores of measured motion: closing speed, speed over ground, time to collision, warnings.
+
+An answer is a closing speed with a sigma below 1.5 m/s; coverage is the fraction of the labels with a known motion that
+have one. The errors of times to collision T are those of TSTTC (Shi et al., 2023), with measured ones clipped to
++-20 s, over objects that approach:
+
+    RTE   mean |T - T*| / T*           MiD   10^4 mean |log s - log s*|,  s = T / (T + 0.1 s)       T*: true time
+
+s is the ratio of the object's size 0.1 s before to that now.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from track_range.evaluation.motion.labelled_motion import LabelledMotion
+from track_range.evaluation.motion.measured_motion import MeasuredMotion
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+
+BANDS: Mapping[str, tuple[float, float]] = {"10-40": (10.0, 40.0), "40-80": (40.0, 80.0)}  # m
+MAX_SIGMA_MPS = 1.5  # largest sigma of an answer
+_TTC_LIMIT_S = 20.0  # to which measured times are clipped
+_STEP_S = 0.1  # interval of the size ratio s
+_MIN_CLOSING_MPS = 0.3  # smallest true closing speed of objects that approach
+
+SCALE_ERROR, CLOSING_ERROR_MPS, PATH_HALF_WIDTH_M = 0.1, 1.5, 2.0
+"""Cause of a false alarm: relative error of the distance, error of the closing speed, and lateral offset at which the
+object will truly pass, beyond which each is the cause, in this order."""
+
+
+def motion_figures(truth: LabelledMotion, measured: MeasuredMotion) -> dict[str, Any]:
+    """Figures by distance band, class and time to collision, as JSON values."""
+    closing = np.stack([measured.closing_mps, measured.closing_sigma_mps, truth.closing_mps])
+    speed = np.stack([measured.speed_mps, measured.speed_sigma_mps, truth.speed_mps])
+    return {
+        **_by_band_and_class(truth, closing),
+        "speed": _by_band_and_class(truth, speed),
+        "ttc": {f"below_{limit}_s": ttc_figures(measured.ttc_s, truth.ttc_s, limit) for limit in (6, 20)},
+        "warnings": warning_figures(truth, measured),
+    }
+
+
+def _by_band_and_class(truth: LabelledMotion, values: FloatArray) -> dict[str, Any]:
+    """`speed_figures` of speeds, sigmas and true speeds (3, N) by distance band, and by class and band."""
+    z, names = truth.boxes.distance_m, truth.boxes.class_name
+    in_bands = {band: (z >= low) & (z < high) for band, (low, high) in BANDS.items()}
+    classes = list(dict.fromkeys(names[np.isfinite(values[2])].tolist()))
+    return {
+        "bands": {band: speed_figures(values, rows) for band, rows in in_bands.items()},
+        "by_class": {
+            name: {band: speed_figures(values, rows & (names == name)) for band, rows in in_bands.items()}
+            for name in sorted(classes)
+        },
+    }
+
+
+def speed_figures(values: FloatArray, rows: BoolArray) -> dict[str, float | None]:
+    """Coverage and errors of speeds, sigmas and true speeds (3, N) in m/s, in the rows (N,); None without an answer."""
+    speed_mps, sigma_mps, true_mps = values
+    known = rows & np.isfinite(true_mps)
+    answered = known & np.isfinite(speed_mps) & (sigma_mps < MAX_SIGMA_MPS)
+    error = np.abs(speed_mps - true_mps)[answered]
+    in_sigmas = error / sigma_mps[answered]
+    median, p95 = np.percentile(error, [50, 95]).tolist() if len(error) else (None, None)
+    within = [float((in_sigmas <= k).mean()) if len(error) else None for k in (1, 2)]
+    return {
+        "n": int(known.sum()),
+        "coverage": _rounded(float(answered.sum() / known.sum()) if known.any() else None),
+        "median_mps": _rounded(median),
+        "p95_mps": _rounded(p95),
+        "within_1_sigma": _rounded(within[0]),
+        "within_2_sigma": _rounded(within[1]),
+    }
+
+
+def ttc_figures(ttc_s: FloatArray, true_s: FloatArray, limit_s: float) -> dict[str, float | None]:
+    """Errors of (N,) times to collision where the true one is at most `limit_s`; None without an answer."""
+    known = (true_s > 0) & (true_s <= limit_s)
+    rows = known & np.isfinite(ttc_s)
+    figures: dict[str, float | None] = dict.fromkeys(("median_pct", "rte_pct", "mid"))
+    if rows.any():
+        T, true = np.clip(ttc_s[rows], -_TTC_LIMIT_S, _TTC_LIMIT_S), true_s[rows]
+        relative = np.abs(T - true) / true
+        mid = np.abs(np.log1p(_STEP_S / T) - np.log1p(_STEP_S / true))
+        figures = {
+            "median_pct": _rounded(100 * float(np.median(relative))),
+            "rte_pct": _rounded(100 * float(relative.mean())),
+            "mid": _rounded(1e4 * float(mid.mean())),
+        }
+    coverage = _rounded(float(rows.sum() / known.sum()) if known.any() else None)
+    return {"n": int(rows.sum()), "coverage": coverage, **figures}
+
+
+def warning_figures(truth: LabelledMotion, measured: MeasuredMotion) -> dict[str, Any]:
+    """Alarms per hour on drives without a contact, where each is false, the time in alarm, and counts by cause."""
+    first, last = alarm_spans(truth, measured)
+    causes = Counter(false_alarm_cause(truth, measured, row) for row in first.tolist())
+    hours = truth.duration_s / 3600
+    return {
+        "hours": round(hours, 4),
+        "false_alarms": len(first),
+        "per_hour": round(len(first) / hours, 2) if hours else None,
+        "in_alarm_s": round(float((truth.boxes.time_s[last] - truth.boxes.time_s[first]).sum()), 2),
+        "by_cause": dict(sorted(causes.items())),
+    }
+
+
+def alarm_spans(truth: LabelledMotion, measured: MeasuredMotion) -> tuple[IntArray, IntArray]:
+    """Row of the first, and of the last, box of each alarm."""
+    boxes = truth.boxes
+    rows = np.lexsort((boxes.frame, boxes.track_id, boxes.sequence))
+    is_on = np.concatenate([[False], measured.is_alarm[rows], [False]])
+    key = np.stack([boxes.sequence, boxes.track_id])[:, rows]
+    is_same = np.concatenate([[False], (np.diff(key, axis=1) == 0).all(axis=0), [False]])
+    starts = is_on[1:-1] & ~(is_on[:-2] & is_same[:-1])
+    ends = is_on[1:-1] & ~(is_on[2:] & is_same[1:])
+    return rows[starts], rows[ends]
+
+
+def false_alarm_cause(truth: LabelledMotion, measured: MeasuredMotion, row: int) -> str:
+    """What was wrong when an alarm began: "scale", "box error" (the speed), "wrong path", or else "driver" braked."""
+    true_m, x_m = truth.boxes.distance_m[row], truth.boxes.x_m[row]
+    if abs(measured.distance_m[row] / true_m - 1) > SCALE_ERROR:
+        return "scale"
+    if not abs(measured.closing_mps[row] - truth.closing_mps[row]) <= CLOSING_ERROR_MPS:
+        return "box error"
+    # the ego path at the object, if the yaw rate remains
+    ahead_s = true_m / max(truth.ego_mps[row], 2.0)
+    offset_m = x_m - true_m * truth.yaw_rad_s[row] * ahead_s / 2
+    return "wrong path" if abs(offset_m) > PATH_HALF_WIDTH_M else "driver"
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 4)

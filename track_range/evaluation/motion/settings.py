@@ -1,0 +1,53 @@
+"""Options of `track-range evaluate motion`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from track_range.foundation.options import Options, option
+
+
+class MotionEvaluationSettings(Options):
+    """Labels, boxes and methods of `track-range evaluate motion`."""
+
+    labels: Annotated[
+        Path,
+        option(
+            "Folder of KITTI tracking labels, NAME.txt for each sequence.",
+            metavar="DIR",
+        ),
+    ]
+    calib: Annotated[Path | None, option("Folder of KITTI calibration files with the same names.", metavar="DIR")] = (
+        None
+    )
+    poses: Annotated[
+        Path | None,
+        option(
+            "Folder of poses with the same names: a row of 12 numbers per frame, the 3 x 4 matrix from the camera to "
+            "the first camera in metres.",
+            metavar="DIR",
+        ),
+    ] = None
+    boxes: Annotated[
+        str,
+        option(
+            "Boxes to measure from: the labelled ones, or detections DIR/{Car,Pedestrian}/NAME.txt.",
+            metavar="labels|rrc:DIR",
+        ),
+    ] = "labels"
+    noise_px: Annotated[
+        float,
+        option("Standard deviation in pixels of noise added to the edges of the boxes.", metavar="PX", ge=0.0, le=50.0),
+    ] = 0.0
+    seed: Annotated[int, option("Random seed for the noise.", ge=0)] = 0
+    method: Annotated[
+        str, option("Ranging method that needs only boxes, or several with +, which are fused.", metavar="NAME[+NAME]")
+    ] = "mono"
+    ego: Annotated[
+        Literal["poses", "none"],
+        option("Speed and yaw rate of the camera that are known: those of the poses, as from a wheel sensor, or none."),
+    ] = "poses"
+    cross_validate: Annotated[
+        bool, option("Cross-validation: sizes refitted for each sequence on the boxes of the others.")
+    ] = False
