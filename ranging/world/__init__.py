@@ -1,0 +1,1 @@
+"""Ego path and road users in the world: poses, speeds over ground, headings and states of motion."""

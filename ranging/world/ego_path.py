@@ -1,0 +1,97 @@
+"""EgoPath: pose of the camera in the world, integrated from its speed and yaw rate, with a growing covariance.
+
+World frame `map`: origin at the camera in the first frame with a known speed, x along its optical axis, y to the left,
+z up; headings are counterclockwise from x (ISO 8855, as in OpenSCENARIO). The road is taken to be a plane.
+
+    psi' = psi - w dt        x' = x + V dt cos(psi - w dt / 2)        y' = y + V dt sin(psi - w dt / 2)
+
+V is the speed, w the yaw rate (positive = to the right). The errors of both have a part that all frames share (scale,
+bias), whose effect J on the pose grows with the distance travelled, and one that is new in every frame:
+
+    P' = F P F^T + Q        J' = F J + B        covariance = P + J J^T        F = d pose' / d pose
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray
+from track_range.stereo.odometry.ego_motion import EgoMotion
+
+_UNKNOWN_SPEED_SIGMA = 0.03  # relative standard deviation of a speed without one
+_YAW_BIAS_RAD_S = 0.0005  # standard deviation of the error of the yaw rate that all frames share; assumed
+_YAW_NOISE_RAD_S = 0.005  # that of the error of one frame, as in `WarningSettings.yaw_sigma_rad_s`
+_LATERAL_MPS2 = 0.4  # lateral acceleration of a vehicle whose yaw rate is unknown, 1 sigma, as in `WarningSettings`
+_MIN_SPEED_MPS = 2.0  # smallest speed for the yaw rate of that acceleration
+_GAP_MPS2 = 1.5  # growth of the standard deviation of a speed that is no longer measured
+
+
+@dataclass(frozen=True, slots=True)
+class EgoPose:
+    """Pose of the left camera in the frame `map`; NaN = unknown."""
+
+    x_m: float = math.nan
+    y_m: float = math.nan
+    heading_rad: float = math.nan  # of the optical axis, counterclockwise from x, not wrapped
+    covariance: FloatArray = field(default_factory=lambda: np.full((3, 3), np.nan))  # of x, y and heading
+
+    @property
+    def sigmas(self) -> tuple[float, float, float]:
+        """Standard deviations of x and y in m, and of the heading in rad."""
+        x, y, heading = np.sqrt(np.diag(self.covariance)).tolist()
+        return x, y, heading
+
+    def to_world(self, forward_m: FloatArray, right_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(N,) x and y in the frame `map` of points at these distances along and to the right of the optical axis."""
+        c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)
+        return self.x_m + c * forward_m + s * right_m, self.y_m + s * forward_m - c * right_m
+
+
+class EgoPath:
+    """Integrates the motion of the camera, frame by frame; a missing speed or yaw rate is bridged with the last one."""
+
+    def __init__(self) -> None:
+        self._pose = EgoPose()
+        self._last = EgoMotion()
+        self._P, self._J = np.zeros((3, 3)), np.zeros((3, 2))
+        self._time_s = self._known_s = math.nan
+
+    def update(self, time_s: float, motion: EgoMotion) -> EgoPose:
+        """The pose at `time_s`, after the motion since the previous frame; unknown before the first known speed."""
+        dt, self._time_s = time_s - self._time_s, time_s
+        if math.isfinite(motion.speed_mps):
+            self._known_s = time_s
+        elif math.isnan(self._known_s):
+            return self._pose
+        V = motion.speed_mps if math.isfinite(motion.speed_mps) else self._last.speed_mps
+        sigma = motion.speed_sigma_mps if math.isfinite(motion.speed_sigma_mps) else _UNKNOWN_SPEED_SIGMA * abs(V)
+        w, sigma_w = motion.yaw_rad_s, _YAW_NOISE_RAD_S
+        if math.isnan(w):
+            w, sigma_w = 0.0, _LATERAL_MPS2 / max(abs(V), _MIN_SPEED_MPS)
+        if motion.is_still:
+            V, sigma, w, sigma_w = 0.0, 0.0, 0.0, 0.0
+        self._last = EgoMotion(V, sigma, w)
+        if math.isnan(self._pose.x_m):
+            self._pose = EgoPose(0.0, 0.0, 0.0, np.zeros((3, 3)))
+            return self._pose
+        lost_s = time_s - self._known_s
+        psi = self._pose.heading_rad - w * dt / 2
+        along = np.array([math.cos(psi), math.sin(psi), 0.0])
+        step = V * dt
+        F = np.eye(3)
+        F[0, 2], F[1, 2] = -step * along[1], step * along[0]
+        turn = np.array([step / 2 * along[1], -step / 2 * along[0], -1.0]) * dt  # d pose' / d w
+        bias = 0.0 if motion.is_still else _YAW_BIAS_RAD_S
+        self._J = F @ self._J + np.stack([along * sigma * dt, turn * bias], axis=1)
+        gap_m = _GAP_MPS2 * lost_s * dt
+        self._P = F @ self._P @ F.T + np.outer(turn, turn) * sigma_w**2 + np.outer(along, along) * gap_m**2
+        self._pose = EgoPose(
+            self._pose.x_m + step * float(along[0]),
+            self._pose.y_m + step * float(along[1]),
+            self._pose.heading_rad - w * dt,
+            self._P + self._J @ self._J.T,
+        )
+        return self._pose

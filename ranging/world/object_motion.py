@@ -1,0 +1,173 @@
+"""ObjectMotion: speed over ground, heading, world position and state of tracks, from distances and ego motion.
+
+    u = v + V        speed along the optical axis: the filtered rate v of the distance plus the ego speed V
+    x'               speed to the right of it over ground (`LateralFilters`, which removes the rotation of the camera)
+
+Both have the variances A = f P_vv + s^2 v^2 + sigma_V^2 and B = f P_x'x' (P of the filters, s the systematic relative
+error of the distance, f since errors of filtered rates are correlated). A priori the odds of rest are r; three quarters
+of the objects that move do so along the road, with speeds of 1 sigma M and small ones m across it, the rest in any
+direction. Bayes' rule gives the probability p that an object moves, and the moments of its speed w over both cases:
+
+    N(a) = N(u; A + M^2) N(x'; B + a^2)        p / (1 - p) = (3/4 N(m) + 1/4 N(M)) / (r N(u; A) N(x'; B))
+    speed = p w        sigma^2 = p (sigma_w^2 + (1 - p) w^2) + (1 - p) sigma_0^2
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from scipy.special import expit
+
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.foundation.arrays import FloatArray, IntArray
+from track_range.foundation.track_state import TrackState
+from track_range.ranging.filtering.distance_filter import FilteredRanges
+from track_range.ranging.filtering.lateral_motion import LateralMotion
+from track_range.ranging.world.ego_path import EgoPose
+
+MotionState = Literal["parked", "moving", "oncoming", "crossing"]
+MOTION_STATES: tuple[MotionState, ...] = get_args(MotionState)
+"""States of motion by code: at rest, along the ego vehicle's direction, against it, across it."""
+
+_PARKED = 0
+_PERSON = ROAD_CLASSES.index("person")
+_RATE_FACTOR = 1.5  # f; errors of filtered rates last longer than the filter assumes
+_MOVING_MPS, _WALKING_MPS = 8.0, 1.5  # M of vehicles and of people
+_PARKED_ODDS, _STANDING_ODDS = 2.0, 1.0  # r of vehicles, most of which are parked, and of people
+_ACROSS_MPS, _ALONG_FRACTION = 0.3, 0.75  # m, and the fraction of moving objects along the road
+
+_MAX_LOG_RATIO = 100.0  # against an overflow
+_REST_SIGMA_MPS = 0.1  # sigma_0, of the speed of an object at rest
+_UNKNOWN_EGO_SIGMA_MPS = 0.1  # sigma_V of an ego speed without one
+_MAX_SIGMA_MPS = 3.0  # largest standard deviation of a reported speed
+_SURE = 0.8  # probability of rest or of motion that changes the state
+_HOLD_S = 0.3  # time for which the condition of a change must hold
+_MARGIN_RAD = math.radians(10.0)  # beyond 45 degrees at which the direction changes
+_MAX_GAP_S = 1.0  # longest time without a track, after which its state is unknown again
+
+
+@dataclass(frozen=True, slots=True)
+class OverGround:
+    """Motion of N tracks over ground, (N,) each; NaN = unknown. `along_mps` and `right_mps` are in camera axes."""
+
+    speed_mps: FloatArray
+    sigma_mps: FloatArray  # standard deviation of `speed_mps`
+    heading_rad: FloatArray  # direction of motion, counterclockwise from the camera's optical axis; NaN also at rest
+    moving: FloatArray  # p, probability that the object moves, 0..1
+    along_mps: FloatArray  # u
+    right_mps: FloatArray  # x'
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectMotion:
+    """Motion of N tracks in the world, (N,) each; NaN = unknown.
+
+    Attributes:
+        speed_mps: speed over ground; the mean over being at rest and moving.
+        sigma_mps: its standard deviation.
+        heading_deg: direction of motion in the frame `map`, counterclockwise from its x axis, -180 to 180; NaN also at
+            rest.
+        x_m, y_m: position in the frame `map` of the middle of the object's visible side, at the filtered distance.
+        state: index into `MOTION_STATES`.
+    """
+
+    speed_mps: FloatArray
+    sigma_mps: FloatArray
+    heading_deg: FloatArray
+    x_m: FloatArray
+    y_m: FloatArray
+    state: FloatArray
+
+    @classmethod
+    def unknown(cls, n: int) -> ObjectMotion:
+        """Motion of n tracks of which nothing is known."""
+        return cls(*np.full((6, n), np.nan))
+
+    def select(self, rows: slice) -> ObjectMotion:
+        """The tracks in these rows."""
+        return ObjectMotion(*(getattr(self, name)[rows] for name in ObjectMotion.__slots__))
+
+
+def over_ground(
+    motion: FilteredRanges, lateral: LateralMotion, class_id: IntArray, *, ego_mps: float, ego_sigma_mps: float
+) -> OverGround:
+    """Motion over ground of N tracks of road classes `class_id` (N,), from their filtered distances and positions.
+
+    `motion` and `lateral` are of one frame; the lateral filter must know the yaw rate of the camera. Speeds are NaN
+    without an ego speed, and where their standard deviation is above 3 m/s.
+    """
+    d, v, x = motion.state.x, motion.state.v, lateral.state
+    sigma_V = ego_sigma_mps if math.isfinite(ego_sigma_mps) else _UNKNOWN_EGO_SIGMA_MPS
+    s2 = np.maximum(motion.ranges.sigma_m**2 - motion.state.P_xx, 0.0) / d**2
+    A, B = _RATE_FACTOR * motion.state.P_vv + s2 * v**2 + sigma_V**2, _RATE_FACTOR * x.P_vv
+    u, right = v + ego_mps, x.v
+    is_person = class_id == _PERSON
+    M = np.where(is_person, _WALKING_MPS, _MOVING_MPS)
+    odds = np.where(is_person, _STANDING_ODDS, _PARKED_ODDS)
+    across = _ALONG_FRACTION * np.exp(_log_ratio(right, B, _ACROSS_MPS))
+    across = across + (1 - _ALONG_FRACTION) * np.exp(_log_ratio(right, B, M))
+    p = expit(_log_ratio(u, A, M) + np.log(across / odds))
+    w = np.hypot(u, right)
+    w_variance = (u**2 * A + right**2 * B) / np.maximum(w, 1e-6) ** 2
+    sigma_mps = np.sqrt(p * (w_variance + (1 - p) * w**2) + (1 - p) * _REST_SIGMA_MPS**2)
+    is_known = sigma_mps <= _MAX_SIGMA_MPS  # False for NaN
+    speed_mps, sigma_mps, p = (np.where(is_known, values, np.nan) for values in (p * w, sigma_mps, p))
+    heading_rad = np.where(p >= 0.5, np.arctan2(-right, u), np.nan)
+    return OverGround(speed_mps, sigma_mps, heading_rad, p, u, right)
+
+
+def _log_ratio(rate: FloatArray, variance: FloatArray, sigma: FloatArray | float) -> FloatArray:
+    """(N,) log N(rate; variance + sigma^2) / N(rate; variance)."""
+    total = variance + sigma**2
+    ratio = (rate**2 * (1 / variance - 1 / total) - np.log(total / variance)) / 2
+    return np.asarray(np.minimum(ratio, _MAX_LOG_RATIO))
+
+
+class ObjectMotions:
+    """Motion of all tracks of a video in the world; their states have a memory."""
+
+    def __init__(self) -> None:
+        self._tracks = TrackState(np.full(4, np.nan))  # state, next state, since when its condition holds, time
+
+    def update(
+        self,
+        track_id: IntArray,
+        class_id: IntArray,
+        motion: FilteredRanges,
+        lateral: LateralMotion,
+        time_s: float,
+        *,
+        ego_mps: float,
+        ego_sigma_mps: float,
+        pose: EgoPose,
+    ) -> ObjectMotion:
+        """Motion of N tracks (N,) of one frame at `time_s`, with the ego speed (NaN = unknown) and pose."""
+        ground = over_ground(motion, lateral, class_id, ego_mps=ego_mps, ego_sigma_mps=ego_sigma_mps)
+        x_m, y_m = pose.to_world(motion.state.x, lateral.state.x)
+        heading_rad = ground.heading_rad + pose.heading_rad
+        heading_deg = np.degrees(np.arctan2(np.sin(heading_rad), np.cos(heading_rad)))
+        state = self._state(track_id, ground, time_s)
+        return ObjectMotion(ground.speed_mps, ground.sigma_mps, heading_deg, x_m, y_m, state)
+
+    def _state(self, track_id: IntArray, ground: OverGround, time_s: float) -> FloatArray:
+        """(N,) states after this frame: a change needs a sure probability and a clear direction for some time."""
+        last, pending, since_s, _ = self._tracks.get(track_id)
+        p = ground.moving
+        angle = np.abs(np.arctan2(ground.right_mps, ground.along_mps))
+        n_directions = len(MOTION_STATES) - 1
+        directions = np.stack([np.zeros_like(p), np.full_like(p, np.pi), np.full_like(p, np.pi / 2)])
+        away = np.abs(angle - directions)  # from along, against and across
+        away[np.arange(n_directions)[:, None] == last - 1] -= _MARGIN_RAD
+        target = 1.0 + away.argmin(axis=0)
+        target = np.where(p >= _SURE, target, np.where(p <= 1 - _SURE, _PARKED, last))
+        target = np.where(np.isnan(p), last, target)
+        since_s = np.where(target == pending, since_s, time_s)
+        changes = (target != last) & (time_s - since_s >= _HOLD_S - 1e-9)
+        state = np.where(changes, target, last)
+        is_recent = time_s - self._tracks.known[3] <= _MAX_GAP_S
+        new = np.stack([state, target, since_s, np.full(len(p), time_s)])
+        self._tracks.put(track_id, new, keep_known=is_recent)
+        return state

@@ -1,0 +1,75 @@
+"""Ego path: exact circles, the growth of its covariance, gaps, and positions in the world."""
+
+import math
+
+import numpy as np
+import pytest
+
+from track_range.ranging.world.ego_path import EgoPath
+from track_range.stereo.odometry.ego_motion import EgoMotion
+
+STEP_S = 0.1
+
+
+def driven(n, speed_mps=10.0, yaw_rad_s=0.0, *, speed_sigma_mps=0.1, rng=None):
+    """Poses of n frames at constant speed and yaw rate; with `rng`, with errors of the yaw rate."""
+    path = EgoPath()
+    noise = np.zeros(n) if rng is None else rng.normal(0.0, 0.005, n)
+    motions = [EgoMotion(speed_mps, speed_sigma_mps, yaw_rad_s + w) for w in noise.tolist()]
+    return [path.update(STEP_S * i, motion) for i, motion in enumerate(motions)]
+
+
+def test_a_right_turn_goes_to_negative_y():
+    pose = driven(51, 10.0, 0.2)[-1]  # a circle of 50 m to the right, 1 rad in 5 s
+    assert pose.heading_rad == pytest.approx(-1.0)
+    assert pose.x_m == pytest.approx(50 * math.sin(1.0), abs=0.02)
+    assert pose.y_m == pytest.approx(-50 * (1 - math.cos(1.0)), abs=0.02)
+
+
+def test_points_in_the_world():
+    pose = driven(51, 10.0, math.pi / 2 / 5)[-1]  # a quarter to the right: the optical axis is -y, its right is -x
+    x_m, y_m = pose.to_world(np.array([10.0, 0.0]), np.array([0.0, 2.0]))
+    assert x_m - pose.x_m == pytest.approx([0.0, -2.0], abs=1e-9)
+    assert y_m - pose.y_m == pytest.approx([-10.0, 0.0], abs=1e-9)
+
+
+def test_sigma_grows_with_the_distance():
+    start, middle, end = (driven(201)[i] for i in (0, 100, 200))
+    assert start.sigmas == (0.0, 0.0, 0.0)
+    assert middle.sigmas[0] == pytest.approx(0.1 * 10, rel=1e-6)  # an error of the speed that all frames share
+    assert end.sigmas[0] == pytest.approx(0.1 * 20, rel=1e-6)
+    assert end.sigmas[1] > 2 * middle.sigmas[1] > 0
+    assert end.sigmas[2] == pytest.approx(math.hypot(0.005 * STEP_S * math.sqrt(200), 0.0005 * 20), rel=1e-6)
+
+
+def test_sigma_to_the_side_is_that_of_noisy_yaw_rates():
+    rng = np.random.default_rng(3)
+    ends = [driven(101, rng=rng)[-1] for _ in range(300)]
+    error_m = np.array([pose.y_m for pose in ends])
+    without_bias = math.sqrt(ends[0].covariance[1, 1] - (0.0005 * 10 * 10**2 / 2) ** 2)
+    assert 0.9 < error_m.std() / without_bias < 1.1
+
+
+def test_a_still_camera_stays_where_it_is():
+    path = EgoPath()
+    path.update(0.0, EgoMotion(10.0, 0.1, 0.0))
+    before = path.update(STEP_S, EgoMotion(10.0, 0.1, 0.0))
+    after = path.update(5.0, EgoMotion(0.05, 0.1, 0.01, is_still=True))
+    assert (after.x_m, after.y_m, after.heading_rad) == (before.x_m, before.y_m, before.heading_rad)
+    assert after.sigmas == pytest.approx(before.sigmas)
+
+
+def test_a_gap_is_bridged_with_a_growing_sigma():
+    path = EgoPath()
+    assert math.isnan(path.update(0.0, EgoMotion()).x_m)
+    known = [path.update(STEP_S * i, EgoMotion(10.0, 0.1, 0.0)) for i in range(1, 12)]
+    assert (known[0].x_m, known[0].sigmas) == (0.0, (0.0, 0.0, 0.0))  # the origin is where the speed is first known
+    gap = [path.update(STEP_S * i, EgoMotion()) for i in range(12, 32)]
+    assert gap[-1].x_m == pytest.approx(30.0)
+    assert gap[-1].sigmas[0] > math.hypot(known[-1].sigmas[0], 0.3)
+    assert (np.diff([pose.sigmas[0] for pose in gap]) > 0).all()
+
+
+def test_unknown_yaw_is_less_certain():
+    known, unknown = driven(51)[-1], driven(51, yaw_rad_s=math.nan)[-1]
+    assert unknown.sigmas[2] > 5 * known.sigmas[2]

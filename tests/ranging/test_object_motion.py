@@ -1,0 +1,116 @@
+"""Motion over ground: speeds, headings and states of made-up tracks, and of KITTI's labels with known poses."""
+
+import math
+
+import numpy as np
+import pytest
+
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.foundation.constant_velocity import ConstantVelocity
+from track_range.ranging.filtering.distance_filter import FilteredRanges
+from track_range.ranging.filtering.lateral_motion import LateralMotion
+from track_range.ranging.ranges import Ranges
+from track_range.ranging.world.ego_path import EgoPose
+from track_range.ranging.world.object_motion import MOTION_STATES, ObjectMotions, over_ground
+
+CAR, PERSON = ROAD_CLASSES.index("car"), ROAD_CLASSES.index("person")
+EGO_MPS = 10.0
+
+
+def motion_of(rate_mps, *, distance_m=20.0, sigma_m=0.5, rate_sigma_mps=0.3):
+    """Filtered distances with these rates."""
+    v = np.asarray(rate_mps, np.float64)
+    full = np.full_like
+    state = ConstantVelocity(full(v, distance_m), v, full(v, 0.05), full(v, 0.0), full(v, rate_sigma_mps**2))
+    ranges = Ranges(np.arange(len(v)), state.x, full(v, sigma_m))
+    return FilteredRanges(ranges, v, full(v, rate_sigma_mps), full(v, np.nan), full(v, np.nan), state)
+
+
+def lateral_of(right_mps, *, x_m=1.0, sigma_mps=0.2):
+    u = np.asarray(right_mps, np.float64)
+    state = ConstantVelocity(*(np.full_like(u, x) for x in (x_m, 0.0, 0.01, 0.0, sigma_mps**2)))
+    return LateralMotion(ConstantVelocity(state.x, u, state.P_xx, state.P_xv, state.P_vv), np.full_like(u, 0.9))
+
+
+def ground_of(rate_mps, right_mps, class_id=CAR, ego_mps=EGO_MPS, **options):
+    classes = np.full(len(rate_mps), class_id)
+    motion = motion_of(rate_mps, **options)
+    return over_ground(motion, lateral_of(right_mps), classes, ego_mps=ego_mps, ego_sigma_mps=0.05)
+
+
+def test_speed_is_the_rate_plus_the_ego_speed():
+    ground = ground_of([-2.0, -25.0, 0.0], [0.0, 0.0, 5.0])
+    assert ground.speed_mps == pytest.approx([8.0, 15.0, math.hypot(10.0, 5.0)], rel=1e-3)
+    assert np.abs(ground.heading_rad) == pytest.approx([0.0, math.pi, math.atan2(5.0, 10.0)], abs=1e-9)
+    assert ground.heading_rad[2] < 0  # to the right
+    assert (ground.moving > 0.99).all()
+    s = math.sqrt(0.5**2 - 0.05) / 20  # systematic, relative
+    assert ground.sigma_mps[:2] == pytest.approx(
+        [math.sqrt(1.5 * 0.09 + (s * v) ** 2 + 0.05**2) for v in (2.0, 25.0)], rel=0.02
+    )
+
+
+def test_an_object_at_rest_has_almost_no_speed():
+    ground = ground_of([-10.3, -9.8], [0.05, -0.1])
+    assert (ground.speed_mps < 0.15).all()
+    assert (ground.moving < 0.2).all()
+    assert np.isnan(ground.heading_rad).all()
+
+
+def test_a_walking_person_is_not_at_rest():
+    walks, stands = ground_of([-10.0, -10.0], [1.3, 0.05], PERSON).moving
+    assert walks > 0.9
+    assert stands < 0.4
+
+
+def test_unknown_ego_speed_and_uncertain_rates_have_no_speed():
+    assert np.isnan(ground_of([-2.0], [0.0], ego_mps=math.nan).speed_mps).all()
+    assert np.isnan(ground_of([-2.0], [3.0], rate_sigma_mps=4.0).speed_mps).all()
+
+
+def states_of(rates_mps, rights_mps, *, step_s=0.1):
+    """State of one car in each frame, None = unknown."""
+    motions, states = ObjectMotions(), []
+    for i, (rate, right) in enumerate(zip(rates_mps, rights_mps, strict=True)):
+        found = motions.update(
+            np.array([4]),
+            np.array([CAR]),
+            motion_of([rate]),
+            lateral_of([right]),
+            i * step_s,
+            ego_mps=EGO_MPS,
+            ego_sigma_mps=0.05,
+            pose=EgoPose(5.0, 0.0, math.pi / 2, np.zeros((3, 3))),
+        )
+        states.append(None if np.isnan(found.state[0]) else MOTION_STATES[int(found.state[0])])
+    return states, found
+
+
+@pytest.mark.parametrize(
+    ("rate_mps", "right_mps", "state"),
+    [(-10.0, 0.0, "parked"), (-2.0, 0.2, "moving"), (-20.0, 0.1, "oncoming"), (-9.5, -6.0, "crossing")],
+)
+def test_states(rate_mps, right_mps, state):
+    states, _ = states_of([rate_mps] * 6, [right_mps] * 6)
+    assert states == [None] * 3 + [state] * 3
+
+
+def test_a_state_changes_only_after_a_while():
+    parked, moving = [-10.0] * 6, [-5.0] * 2
+    states, _ = states_of([*parked, *moving, *parked], [0.0] * 14)
+    assert set(states[3:]) == {"parked"}
+    states, _ = states_of([*parked, *moving, *moving], [0.0] * 10)
+    assert states[-2:] == ["parked", "moving"]
+
+
+def test_directions_have_a_margin():
+    angle = np.radians(50.0)  # just across; a car that moves along stays so
+    along, across = 8 * np.cos(angle) - EGO_MPS, 8 * np.sin(angle)
+    assert states_of([-2.0] * 6 + [along] * 6, [0.0] * 6 + [across] * 6)[0][-1] == "moving"
+    assert states_of([along] * 6, [across] * 6)[0][-1] == "crossing"
+
+
+def test_world_positions_and_headings_turn_with_the_pose():
+    _, found = states_of([-2.0] * 4, [0.0] * 4)  # the ego vehicle looks along y
+    assert (found.x_m[0], found.y_m[0]) == pytest.approx((5.0 + 1.0, 20.0))
+    assert found.heading_deg[0] == pytest.approx(90.0)
