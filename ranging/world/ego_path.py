@@ -6,7 +6,7 @@ z up; headings are counterclockwise from x (ISO 8855, as in OpenSCENARIO). The r
     psi' = psi - w dt        x' = x + V dt cos(psi - w dt / 2)        y' = y + V dt sin(psi - w dt / 2)
 
 V is the speed, w the yaw rate (positive = to the right). The errors of both have a part that all frames share (scale,
-bias), whose effect J on the pose grows with the distance travelled, and one that is new in every frame:
+bias), whose effect J on the pose grows with the distance travelled, and one that is forgotten within a second:
 
     P' = F P F^T + Q        J' = F J + B        covariance = P + J J^T        F = d pose' / d pose
 """
@@ -23,7 +23,8 @@ from track_range.stereo.odometry.ego_motion import EgoMotion
 
 _UNKNOWN_SPEED_SIGMA = 0.03  # relative standard deviation of a speed without one
 _YAW_BIAS_RAD_S = 0.0005  # standard deviation of the error of the yaw rate that all frames share; assumed
-_YAW_NOISE_RAD_S = 0.005  # that of the error of one frame, as in `WarningSettings.yaw_sigma_rad_s`
+_YAW_NOISE_RAD_S = 0.005  # that of the other error, as in `WarningSettings.yaw_sigma_rad_s`
+_CORRELATION_S = 1.0  # time over which that error is the same; on KITTI's odometry, up to a second
 _LATERAL_MPS2 = 0.4  # lateral acceleration of a vehicle whose yaw rate is unknown, 1 sigma, as in `WarningSettings`
 _MIN_SPEED_MPS = 2.0  # smallest speed for the yaw rate of that acceleration
 _GAP_MPS2 = 1.5  # growth of the standard deviation of a speed that is no longer measured
@@ -87,7 +88,8 @@ class EgoPath:
         bias = 0.0 if motion.is_still else _YAW_BIAS_RAD_S
         self._J = F @ self._J + np.stack([along * sigma * dt, turn * bias], axis=1)
         gap_m = _GAP_MPS2 * lost_s * dt
-        self._P = F @ self._P @ F.T + np.outer(turn, turn) * sigma_w**2 + np.outer(along, along) * gap_m**2
+        turn_variance = sigma_w**2 * max(_CORRELATION_S / dt, 1.0) if dt > 0 else 0.0
+        self._P = F @ self._P @ F.T + np.outer(turn, turn) * turn_variance + np.outer(along, along) * gap_m**2
         self._pose = EgoPose(
             self._pose.x_m + step * float(along[0]),
             self._pose.y_m + step * float(along[1]),

@@ -67,18 +67,19 @@ class ObjectMotion:
 
     Attributes:
         speed_mps: speed over ground; the mean over being at rest and moving.
-        sigma_mps: its standard deviation.
+        speed_sigma_mps: its standard deviation.
         heading_deg: direction of motion in the frame `map`, counterclockwise from its x axis, -180 to 180; NaN also at
             rest.
-        x_m, y_m: position in the frame `map` of the middle of the object's visible side, at the filtered distance.
+        world_x_m, world_y_m: position in the frame `map` of the middle of the object's visible side, at the filtered
+            distance.
         state: index into `MOTION_STATES`.
     """
 
     speed_mps: FloatArray
-    sigma_mps: FloatArray
+    speed_sigma_mps: FloatArray
     heading_deg: FloatArray
-    x_m: FloatArray
-    y_m: FloatArray
+    world_x_m: FloatArray
+    world_y_m: FloatArray
     state: FloatArray
 
     @classmethod

@@ -112,5 +112,5 @@ def test_directions_have_a_margin():
 
 def test_world_positions_and_headings_turn_with_the_pose():
     _, found = states_of([-2.0] * 4, [0.0] * 4)  # the ego vehicle looks along y
-    assert (found.x_m[0], found.y_m[0]) == pytest.approx((5.0 + 1.0, 20.0))
+    assert (found.world_x_m[0], found.world_y_m[0]) == pytest.approx((5.0 + 1.0, 20.0))
     assert found.heading_deg[0] == pytest.approx(90.0)

@@ -16,6 +16,8 @@ from track_range.ranging.filtering.lateral_motion import passing_offsets
 from track_range.ranging.registry import methods
 from track_range.ranging.size_models.drive_scale import DriveScale
 from track_range.ranging.warning.collision_warning import CollisionWarning
+from track_range.ranging.world.ego_path import EgoPath
+from track_range.ranging.world.object_motion import ObjectMotions
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import EgoMotion
@@ -43,6 +45,8 @@ class FramePipeline:
     shared_sigma: float = 0.0  # relative error shared by all methods, from an uncalibrated focal length
     notes: tuple[str, ...] = ()  # messages for the user about the parts of the pipeline
     clock: StageClock = field(default_factory=StageClock)  # time spent in each stage
+    _path: EgoPath = field(default_factory=EgoPath, init=False)
+    _motions: ObjectMotions = field(default_factory=ObjectMotions, init=False)
     _fusion: FusionStage = field(init=False)
     _causes: dict[str, frozenset[Cause]] = field(init=False)  # what scales the distances of each method
 
@@ -107,6 +111,17 @@ class FramePipeline:
                     ranges[name] = replace(measured, sigma_m=sigma_m)
                 if method == "fused":
                     rate_sigma_mps = np.hypot(motion.rate_sigma_mps, shared * motion.rate_mps)
+            pose = self._path.update(frame.time_s, replace(ego.motion, speed_sigma_mps=ego_sigma_mps))
+            in_world = self._motions.update(
+                tracks.track_id,
+                tracks.class_id,
+                replace(motion, ranges=ranges["fused_kf"]),
+                lateral,
+                frame.time_s,
+                ego_mps=ego_mps,
+                ego_sigma_mps=ego_sigma_mps,
+                pose=pose,
+            )
             warnings = None
             if self.warning is not None:
                 warnings = self.warning.update(
@@ -132,6 +147,8 @@ class FramePipeline:
                 ego_mps=ego_mps,
                 ego_sigma_mps=ego_sigma_mps,
                 scale_doubt=doubt,
+                motion=in_world,
+                ego_pose=pose,
             )
 
     @property

@@ -17,6 +17,8 @@ from track_range.ranging.doubt.scale_doubt import ScaleDoubt
 from track_range.ranging.filtering.lateral_motion import PassingOffsets
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.warning.warnings import Warnings
+from track_range.ranging.world.ego_path import EgoPose
+from track_range.ranging.world.object_motion import MOTION_STATES, ObjectMotion
 from track_range.stereo.geometry.frames import Frame, ImageView
 from track_range.tracking.tracks import Tracks
 
@@ -34,6 +36,8 @@ class TrackedObject:
         sigma_m: its standard deviation.
         closing_mps: closing speed, from the filtered distance, positive = approaching; NaN = unknown.
         ttc_s: time to collision, distance / closing speed; NaN = not approaching.
+        speed_mps: speed over ground; NaN = unknown.
+        state: "parked", "moving", "oncoming", "crossing", or "" = unknown.
         position_m: ranged point in the left camera's frame (x right, y down, z forward); z is `distance_m`.
         is_observed: False where the box is predicted, without a detection in this frame.
     """
@@ -47,6 +51,8 @@ class TrackedObject:
     ttc_s: float
     position_m: tuple[float, float, float]
     is_observed: bool
+    speed_mps: float = math.nan
+    state: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +86,8 @@ class FrameResult:
         ego_sigma_mps: its standard deviation; NaN = unknown.
         warnings: probability of contact and alarm of each track; None if they were not estimated.
         scale_doubt: contradiction between a given scale and the drive; None = none was found.
+        motion: speed over ground, heading, world position and state of each track; None if they were not estimated.
+        ego_pose: pose of the camera in the frame `map`; None if it was not estimated.
     """
 
     frame: Frame
@@ -98,6 +106,8 @@ class FrameResult:
     ego_sigma_mps: float = math.nan
     warnings: Warnings | None = None
     scale_doubt: ScaleDoubt | None = None
+    motion: ObjectMotion | None = None
+    ego_pose: EgoPose | None = None
 
     def __repr__(self) -> str:
         objects = self.objects
@@ -110,13 +120,27 @@ class FrameResult:
         """The road users one by one, in the order of the tracks; made at each access, from the arrays."""
         tracks = self.tracks
         fused = self.ranges["fused"] if "fused" in self.ranges else Ranges.unmeasured(tracks.track_id)
+        motion = self.motion or ObjectMotion.unknown(len(tracks))
+        names = np.array([*MOTION_STATES, ""])[np.nan_to_num(motion.state, nan=-1.0).astype(np.int64)]
         columns = (
             *(tracks.track_id, tracks.class_id, tracks.xyxy_px, fused.distance_m, fused.sigma_m),
-            *(self.closing_mps, self.ttc_s, self.xyz_m, tracks.observed),
+            *(self.closing_mps, self.ttc_s, self.xyz_m, tracks.observed, motion.speed_mps, names),
         )
         return tuple(
-            TrackedObject(number, ROAD_CLASSES[class_id], tuple(box), z, sigma, closing, ttc, tuple(xyz), is_observed)
-            for number, class_id, box, z, sigma, closing, ttc, xyz, is_observed in zip(
+            TrackedObject(
+                number,
+                ROAD_CLASSES[class_id],
+                tuple(box),
+                z,
+                sigma,
+                closing,
+                ttc,
+                tuple(xyz),
+                is_observed,
+                speed,
+                state,
+            )
+            for number, class_id, box, z, sigma, closing, ttc, xyz, is_observed, speed, state in zip(
                 *(column.tolist() for column in columns), strict=True
             )
         )

@@ -1,13 +1,13 @@
 """Columns of the rows of a run (one row per track and frame): name, unit, decimals and source of each.
 
 tracks.csv, the table in memory and all other formats with rows are written from this declaration. The order of the
-first columns is fixed for readers of tracks.csv; the columns of further ranging methods follow at the end.
+first columns is fixed for readers of tracks.csv; the columns of ranging methods of other packages follow at the end.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Literal
@@ -19,13 +19,14 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import FloatArray
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.ranges import Ranges
-from track_range.ranging.registry import methods
+from track_range.ranging.registry import METHODS, methods
 from track_range.ranging.warning.warnings import Warnings
+from track_range.ranging.world.object_motion import MOTION_STATES, ObjectMotion
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-Columns = Mapping[str, npt.NDArray[Any]]  # rows by column: `class` as str, all others float64 with NaN = not measured
+Columns = Mapping[str, npt.NDArray[Any]]  # rows by column: `TEXT_COLUMNS` as str, others float64, NaN = not measured
 FrameValues = list[npt.NDArray[Any]]  # values of the rows of one frame, not rounded: one (N,) array per column
 
 MAX_COLUMNS = 1000
@@ -33,20 +34,19 @@ MAX_COLUMNS = 1000
 
 MAX_CLASS = 200  # largest number of characters of a class name that is read
 
-NOT_METHODS = ("truth", "scored_truth", "x", "y", "path_offset")
-"""Names NAME of columns NAME_m that are not the distance of a method."""
+TEXT_COLUMNS = ("class", "state")  # columns of names, "" = unknown; all others are numbers
 
-_TYPES = {"whole": np.int64, "number": np.float64, "flag": np.bool_, "class": np.int8}
+_TYPES = {"whole": np.int64, "number": np.float64, "flag": np.bool_, "name": np.int8}
 
-ColumnKind = Literal["number", "whole", "flag", "class"]
+ColumnKind = Literal["number", "whole", "flag", "name"]
 
 
 @dataclass(frozen=True, slots=True)
 class ResultColumn:
     """Declaration of a column.
 
-    Values are of a kind: number = float64, NaN = not measured; whole = int64; flag = bool; class = index of
-    `ROAD_CLASSES`, written as its name.
+    Values are of a kind: number = float64, NaN = not measured; whole = int64; flag = bool; name = index of `names`,
+    NaN = unknown, written as the name.
     """
 
     name: str  # heading
@@ -54,6 +54,7 @@ class ResultColumn:
     read: Callable[[FrameResult], Any]  # returns the (N,) values of the N tracks of a frame
     kind: ColumnKind = "number"
     decimals: int = 3  # to which numbers are rounded in files and tables
+    names: tuple[str, ...] = ()  # of the kind "name"
 
     def rounded(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Numbers rounded to the decimals of the column; other values unchanged."""
@@ -62,8 +63,8 @@ class ResultColumn:
     def text(self, result: FrameResult) -> list[str]:
         """Values of a frame as text for tracks.csv; empty = not measured."""
         values = np.asarray(self.read(result)).tolist()
-        if self.kind == "class":
-            return list(map(ROAD_CLASSES.__getitem__, values))
+        if self.kind == "name":
+            return ["" if math.isnan(value) else self.names[int(value)] for value in values]
         if self.kind == "number":
             return ["" if math.isnan(value) else f"{value:.{self.decimals}f}" for value in values]
         return list(map(str, map(int, values)))
@@ -75,7 +76,7 @@ def result_columns() -> tuple[ResultColumn, ...]:
         ResultColumn("frame", "", _of_frame("index"), "whole"),
         ResultColumn("time_s", "s", _of_frame("time_s"), decimals=6),
         ResultColumn("track_id", "", attrgetter("tracks.track_id"), "whole"),
-        ResultColumn("class", "", attrgetter("tracks.class_id"), "class"),
+        ResultColumn("class", "", attrgetter("tracks.class_id"), "name", names=ROAD_CLASSES),
         ResultColumn("score", "", attrgetter("tracks.score"), decimals=4),
         ResultColumn("observed", "", attrgetter("tracks.observed"), "flag"),
         *(
@@ -97,13 +98,22 @@ def result_columns() -> tuple[ResultColumn, ...]:
         ResultColumn("warning", "", _of_warnings("active"), "flag"),
         ResultColumn("path_offset_m", "m", _of_warnings("path_offset_m")),
     )
+    in_world = (
+        ResultColumn("speed_mps", "m/s", _of_motion("speed_mps")),
+        ResultColumn("speed_sigma_mps", "m/s", _of_motion("speed_sigma_mps")),
+        ResultColumn("heading_deg", "deg", _of_motion("heading_deg"), decimals=2),
+        ResultColumn("world_x_m", "m", _of_motion("world_x_m")),
+        ResultColumn("world_y_m", "m", _of_motion("world_y_m")),
+        ResultColumn("state", "", _of_motion("state"), "name", names=MOTION_STATES),
+    )
     names = {column.name for column in columns}
-    return (*columns, *(column for column in _method_columns() if column.name not in names))
+    own = [column for column in _method_columns(is_built_in=True) if column.name not in names]
+    return (*columns, *own, *in_world, *_method_columns(is_built_in=False))
 
 
-def _method_columns() -> Iterator[ResultColumn]:
-    """Columns NAME_m and NAME_sigma_m of every ranging method and of its filter if it has one, and NAME_DETAIL."""
-    for method in methods():
+def _method_columns(*, is_built_in: bool) -> Iterator[ResultColumn]:
+    """Columns NAME_m and NAME_sigma_m of ranging methods and of their filters if they have one, and NAME_DETAIL."""
+    for method in (method for method in methods() if (method.name in METHODS.built_in) == is_built_in):
         for name in (method.name, *([f"{method.name}_kf"] if method.is_filtered else [])):
             yield _of_method(name, "m")
             yield _of_method(name, "sigma_m")
@@ -138,6 +148,10 @@ def _of_warnings(name: str) -> Callable[[FrameResult], Any]:
     return lambda result: getattr(result.warnings or Warnings.unknown(len(result.tracks)), name)
 
 
+def _of_motion(name: str) -> Callable[[FrameResult], Any]:
+    return lambda result: getattr(result.motion or ObjectMotion.unknown(len(result.tracks)), name)
+
+
 def column_names() -> list[str]:
     """Column names in the header of tracks.csv."""
     return [column.name for column in result_columns()]
@@ -149,10 +163,21 @@ def methods_with_sigma() -> list[str]:
     return sorted(names, key=lambda name: name.endswith("_kf"))
 
 
+def distance_names(names: Iterable[str]) -> list[str]:
+    """Names NAME of the columns NAME_m that are distances, in their order.
+
+    These are registered methods, "fused" and filtered ones, and methods of packages that are not installed here: NAME_m
+    and NAME_sigma_m that are no columns of this installation.
+    """
+    names, known, columns = list(names), set(methods_with_sigma()), set(column_names())
+    listed = [name.removesuffix("_m") for name in names if name.endswith("_m") and not name.endswith("_sigma_m")]
+    others = {name for name in listed if f"{name}_m" not in columns and f"{name}_sigma_m" in names}
+    return [name for name in listed if name in known or name in others]
+
+
 def methods_measured(columns: Columns) -> list[str]:
     """Names of the distances with at least one value, in the order of the columns."""
-    names = [name.removesuffix("_m") for name in columns if name.endswith("_m") and not name.endswith("_sigma_m")]
-    return [name for name in names if name not in NOT_METHODS and bool(np.isfinite(columns[f"{name}_m"]).any())]
+    return [name for name in distance_names(columns) if bool(np.isfinite(columns[f"{name}_m"]).any())]
 
 
 def rounded(columns: Columns) -> dict[str, npt.NDArray[Any]]:
@@ -163,7 +188,7 @@ def rounded(columns: Columns) -> dict[str, npt.NDArray[Any]]:
 
 def no_rows() -> dict[str, npt.NDArray[Any]]:
     """Columns of a run without tracks."""
-    return {name: np.zeros(0, np.str_ if name == "class" else np.float64) for name in column_names()}
+    return {name: np.zeros(0, np.str_ if name in TEXT_COLUMNS else np.float64) for name in column_names()}
 
 
 def boxes_px(columns: Columns) -> FloatArray:
@@ -175,14 +200,14 @@ def boxes_px(columns: Columns) -> FloatArray:
 
 
 def rows_schema(columns: Sequence[ResultColumn], metadata: Mapping[str, str] | None = None) -> pa.Schema:
-    """Schema of the rows: `class` is a dictionary of names, and the metadata of a field contains its unit."""
+    """Schema of the rows: `TEXT_COLUMNS` are dictionaries of names, and the metadata of a field contains its unit."""
     import pyarrow as pa
 
     fields = [
         pa.field(
             column.name,
             pa.dictionary(pa.int8(), pa.string())
-            if column.kind == "class"
+            if column.kind == "name"
             else pa.from_numpy_dtype(np.dtype(_TYPES[column.kind])),
             metadata={"unit": column.unit} if column.unit else None,
         )
@@ -197,14 +222,15 @@ def record_batch(frames: Sequence[FrameValues], columns: Sequence[ResultColumn],
 
     arrays = []
     for column, parts in zip(columns, zip(*frames, strict=True) if frames else [()] * len(columns), strict=True):
-        dtype = _TYPES[column.kind]
+        dtype = np.float64 if column.kind == "name" else _TYPES[column.kind]
         values: npt.NDArray[Any]
         if len(parts) == 1:
             values = np.ascontiguousarray(parts[0], dtype)
         else:
             values = np.concatenate([*parts, np.zeros(0, dtype)], dtype=dtype, casting="unsafe")
-        if column.kind == "class":
-            arrays.append(pa.DictionaryArray.from_arrays(pa.array(values), pa.array(ROAD_CLASSES)))
+        if column.kind == "name":
+            codes = pa.array(np.nan_to_num(values).astype(np.int8), mask=np.isnan(values))
+            arrays.append(pa.DictionaryArray.from_arrays(codes, pa.array(column.names)))
         else:
             arrays.append(pa.array(values, from_pandas=True))  # NaN becomes null
     return pa.record_batch(arrays, schema=schema)

@@ -23,7 +23,15 @@ from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.files.structured_text import read_json, read_yaml
 from track_range.foundation.validation import Number, PositiveNumber, validated
 from track_range.ranging.evaluation.truth import Truth, read_truth
-from track_range.results.columns import Columns, boxes_px, column_names, methods_measured, no_rows, rounded
+from track_range.results.columns import (
+    TEXT_COLUMNS,
+    Columns,
+    boxes_px,
+    column_names,
+    methods_measured,
+    no_rows,
+    rounded,
+)
 from track_range.results.events.event import Event
 from track_range.results.events.files import EVENTS_FILE, EventFileError, read_events
 from track_range.results.events.finder import events_of
@@ -323,9 +331,10 @@ def read_run_rows(path: Path, missing: list[str]) -> dict[str, Any]:
         missing.append(f"{path.name} ends in the middle of a row, so later rows are missing.")
     # Columns that an earlier version did not write are empty, except sigmas, which mark the methods to be scored.
     rows: dict[str, Any] = {name: np.full(n_rows, np.nan) for name in column_names() if not name.endswith("_sigma_m")}
+    rows |= {name: np.full(n_rows, "") for name in TEXT_COLUMNS}
     for name, values in columns.items():
         rows[name] = values[is_valid]
-        if name != "class":
+        if name not in TEXT_COLUMNS:
             rows[name] = np.where(np.isinf(rows[name]), np.nan, rows[name])
     return rows
 
@@ -334,7 +343,7 @@ def valid_rows(columns: Columns) -> BoolArray:
     """(N,) mask of rows with a frame number, a time, a track ID that is unique in the frame, and a box."""
     frame, track_id, edges_px = columns["frame"], columns["track_id"], boxes_px(columns)
     is_valid: BoolArray = np.isfinite(columns["time_s"]) & (np.abs(edges_px) <= _MAX_EDGE_PX).all(axis=1)
-    for name in columns.keys() - {"frame", "track_id", "class"}:
+    for name in columns.keys() - {"frame", "track_id", *TEXT_COLUMNS}:
         is_valid &= ~np.isfinite(columns[name]) | (np.abs(columns[name]) <= _LATEST.get(name, _MAX_VALUE))
     for number, lowest, highest in ((frame, 0, _MAX_FRAME), (track_id, 1, _MAX_TRACK_ID)):
         is_valid &= (number >= lowest) & (number <= highest) & (number == np.floor(number))

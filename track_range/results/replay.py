@@ -12,6 +12,7 @@ from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import methods as ranging_methods
 from track_range.ranging.warning.warnings import Warnings
+from track_range.ranging.world.object_motion import MOTION_STATES, ObjectMotion
 from track_range.results.columns import Columns, boxes_px, methods_with_sigma
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
@@ -36,6 +37,12 @@ def frames_of_rows(
     if "contact_probability" in columns and "warning" in columns:
         path_offset_m = columns.get("path_offset_m", unknown)
         warnings = Warnings(columns["contact_probability"], columns["warning"] > 0, path_offset_m)
+    motion = None
+    if "world_x_m" in columns:
+        codes: dict[str, float] = {name: code for code, name in enumerate(MOTION_STATES)}
+        state = np.array([codes.get(str(name), math.nan) for name in columns.get("state", unknown)], np.float64)
+        numbers = {name: columns.get(name, unknown) for name in ObjectMotion.__slots__ if name != "state"}
+        motion = ObjectMotion(**numbers, state=state)
     methods = set(methods)
     measured = [name for name in methods_with_sigma() if name in methods]
     details = {
@@ -72,4 +79,5 @@ def frames_of_rows(
             xyz_m=np.stack([columns["x_m"][rows], columns["y_m"][rows], columns["fused_m"][rows]], axis=1),
             ego_mps=float(ego_mps[first]) if last > first else math.nan,
             warnings=None if warnings is None else warnings.select(rows),
+            motion=None if motion is None else motion.select(rows),
         )

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.files.atomic_files import describe
 from track_range.foundation.files.output_files import OutputError
 from track_range.pipeline.frame_result import FrameResult
@@ -87,9 +86,10 @@ class RunTable:
         columns: dict[str, npt.NDArray[Any]] = {}
         for column in self.columns:
             values = table.column(column.name)
-            if column.kind == "class":
-                names = np.array(ROAD_CLASSES)
-                columns[column.name] = np.concatenate([names[chunk.indices.to_numpy()] for chunk in values.chunks])
+            if column.kind == "name":
+                names = np.array([*column.names, ""])  # the last one is that of null
+                codes = [chunk.indices.fill_null(len(column.names)).to_numpy() for chunk in values.chunks]
+                columns[column.name] = names[np.concatenate(codes)]
             else:
                 numbers = np.asarray(values.to_numpy(), np.float64)
                 columns[column.name] = column.rounded(numbers) if is_rounded else numbers

@@ -24,12 +24,13 @@ if TYPE_CHECKING:
     from track_range.stereo.geometry.camera import PinholeCamera
     from track_range.stereo.geometry.rig import StereoRig
 
-DEFAULT_WRITERS = ("csv", "mot", "parquet")  # writers of a run without `--write`
+DEFAULT_WRITERS = ("csv", "mot", "parquet", "poses")  # writers of a run without `--write`
 
 FILES_OF_WRITERS: Mapping[str, str] = {  # of this package, for help texts
     "csv": "tracks.csv",
     "mot": "mot.txt",
     "parquet": "tracks.parquet",
+    "poses": "poses.csv, the path of the camera",
     "kitti": "kitti.txt",
     "recorded": "recorded_boxes.csv, in pixels of the video",
     "mcap": "run.mcap, for Foxglove and ROS 2",
@@ -106,6 +107,7 @@ WRITERS: Registry[WriterFactory | str] = Registry(  # imported on first use
         "csv": "track_range.results.formats.csv_file:CsvWriter",
         "mot": "track_range.results.formats.box_files:MotWriter",
         "parquet": "track_range.results.formats.parquet_file:ParquetWriter",
+        "poses": "track_range.results.formats.poses_file:PosesWriter",
         "kitti": "track_range.results.formats.box_files:KittiWriter",
         "recorded": "track_range.results.formats.box_files:RecordedBoxesWriter",
         "mcap": "track_range.results.formats.mcap.writer:McapWriter",

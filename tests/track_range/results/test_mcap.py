@@ -60,7 +60,7 @@ def frame(index: int) -> Any:
     }
     ranges = {name: replace(r, track_id=r.track_id[1:], distance_m=r.distance_m[1:], sigma_m=r.sigma_m[1:])
               for name, r in given.ranges.items()}  # fmt: skip
-    return replace(given, tracks=tracks, ranges=ranges, **rows)
+    return replace(given, tracks=tracks, ranges=ranges, motion=given.motion.select(slice(1, None)), **rows)
 
 
 def write(folder: Path, about: RunInfo, n_frames: int = 4) -> Path:
@@ -364,7 +364,7 @@ def test_cut_short(tmp_path: Path) -> None:
 
 def test_full_disk(tmp_path: Path) -> None:
     """The chunks before the failure are readable, and the file is named."""
-    writers = OpenWriters(("csv", "mcap"), info(settings={}), tmp_path)
+    writers = OpenWriters(("mot", "mcap"), info(settings={}), tmp_path)
     with file_size_limit(9000), pytest.raises(OutputError, match=r"run\.mcap"):  # noqa: PT012
         for index in range(60):
             writers.write(frame(index))

@@ -16,6 +16,8 @@ from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.method import ErrorSource, RangingMethod
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import methods
+from track_range.ranging.world.ego_path import EgoPose
+from track_range.ranging.world.object_motion import ObjectMotion
 from track_range.results.columns import column_names, methods_with_sigma
 from track_range.results.formats.csv_file import read_tracks_csv
 from track_range.results.table import FRAMES_PER_BATCH, RunTable
@@ -29,7 +31,8 @@ CONTRACT = (
     "stereo_m,stereo_sigma_m,sgbm_m,sgbm_sigma_m,fused_m,fused_sigma_m,closing_mps,ttc_s,"
     "mono_kf_m,stereo_kf_m,fused_kf_m,ground_m,x_m,y_m,"
     "mono_kf_sigma_m,stereo_kf_sigma_m,fused_kf_sigma_m,ground_sigma_m,closing_sigma_mps,ttc_sigma_s,utc,"
-    "ego_mps,contact_probability,warning,path_offset_m,stereo_surfaces,stereo_probability"
+    "ego_mps,contact_probability,warning,path_offset_m,stereo_surfaces,stereo_probability,"
+    "speed_mps,speed_sigma_mps,heading_deg,world_x_m,world_y_m,state"
 ).split(",")
 
 
@@ -58,6 +61,11 @@ def result(frame=4):
         ttc_s=np.array([6.0, nan]),
         ttc_sigma_s=np.array([1.5, nan]),
         xyz_m=xyz_m,
+        motion=ObjectMotion(
+            *(np.array(pair) for pair in ((8.5, nan), (0.4, nan), (-12.5, nan), (20.25, nan), (-3.5, nan), (nan, 0.0)))
+        ),
+        ego_pose=EgoPose(8.0, -1.0, -0.5, np.diag([0.04, 0.01, 0.0001])),
+        ego_mps=10.0,
     )
 
 

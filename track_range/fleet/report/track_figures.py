@@ -20,7 +20,7 @@ import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.evaluation.errors import BANDS_M
-from track_range.results.columns import NOT_METHODS
+from track_range.results.columns import distance_names
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -84,8 +84,7 @@ def needed_columns(names: Sequence[str]) -> list[str]:
 
 
 def _methods(names: Sequence[str]) -> list[str]:
-    methods = [name.removesuffix("_m") for name in names if name.endswith("_m") and f"{name[:-2]}_sigma_m" in names]
-    return [method for method in methods if method not in NOT_METHODS]
+    return [method for method in distance_names(names) if f"{method}_sigma_m" in names]
 
 
 def track_figures(clip: str, table: pa.Table) -> TrackFigures:

@@ -12,7 +12,7 @@ import numpy as np
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, quoted, read_text, shortened
 from track_range.foundation.files.output_files import OutputError
 from track_range.pipeline.frame_result import FrameResult
-from track_range.results.columns import MAX_CLASS, MAX_COLUMNS, Columns, result_columns
+from track_range.results.columns import MAX_CLASS, MAX_COLUMNS, TEXT_COLUMNS, Columns, result_columns
 from track_range.results.formats.row_file import RowWriter, csv_text
 
 TABLE_FILE = "tracks.csv"
@@ -39,7 +39,7 @@ class CsvWriter(RowWriter):
 
 
 def read_tracks_csv(path: Path) -> Columns:
-    """Columns of a tracks.csv: `class` as str, the others as float64 with NaN for an empty cell.
+    """Columns of a tracks.csv: `TEXT_COLUMNS` as str, the others as float64 with NaN for an empty cell.
 
     Rows with a different number of cells than the header, such as the last one of a killed run, are skipped.
     OutputError if the file cannot be read, is not a tracks.csv, or has no row of the header's length but others.
@@ -66,12 +66,14 @@ def read_tracks_csv(path: Path) -> Columns:
             read_options=arrow_csv.ReadOptions(use_threads=False),
             parse_options=arrow_csv.ParseOptions(invalid_row_handler=skip),
             convert_options=arrow_csv.ConvertOptions(
-                column_types={name: "string" if name == "class" else "float64" for name in header}, null_values=[""]
+                column_types={name: "string" if name in TEXT_COLUMNS else "float64" for name in header},
+                null_values=[""],
             ),
         )
         columns = {name: table.column(name) for name in header}
-        if "class" in columns and max(map(len, columns["class"].to_pylist()), default=0) > MAX_CLASS:
-            raise ValueError(f"a class name of more than {MAX_CLASS} characters")
+        for name in columns.keys() & set(TEXT_COLUMNS):
+            if max((len(text or "") for text in columns[name].to_pylist()), default=0) > MAX_CLASS:
+                raise ValueError(f"a {name} name of more than {MAX_CLASS} characters")
         if not len(table) and (len(n_cells) > 1 or (n_cells and text.endswith("\n"))):
             raise ValueError(f"{len(n_cells)} rows, none with the {len(header)} cells of the header")
     except (ValueError, LookupError, StopIteration, csv.Error, ArrowException) as error:
@@ -85,6 +87,8 @@ def read_tracks_csv(path: Path) -> Columns:
             "restore the file."
         ) from error
     return {
-        name: np.asarray(values.to_pylist(), np.str_) if name == "class" else np.asarray(values.to_numpy(), np.float64)
+        name: np.asarray([text or "" for text in values.to_pylist()], np.str_)
+        if name in TEXT_COLUMNS
+        else np.asarray(values.to_numpy(), np.float64)
         for name, values in columns.items()
     }

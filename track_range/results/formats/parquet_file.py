@@ -22,6 +22,7 @@ from track_range.pipeline.frame_result import FrameResult
 from track_range.results.columns import (
     MAX_CLASS,
     MAX_COLUMNS,
+    TEXT_COLUMNS,
     Columns,
     FrameValues,
     record_batch,
@@ -96,7 +97,7 @@ def _write_batches(path: Path, schema: pa.Schema, batches: Iterable[pa.RecordBat
     from pyarrow import parquet
 
     # other numbers hardly repeat
-    coded = [name for name in ("frame", "time_s", "track_id", "class") if name in schema.names]
+    coded = [name for name in ("frame", "time_s", "track_id", *TEXT_COLUMNS) if name in schema.names]
     with parquet.ParquetWriter(path, schema, compression="zstd", use_dictionary=coded) as writer:
         group: list[pa.RecordBatch] = []
         n_rows = 0
@@ -139,7 +140,7 @@ def _complete_batches(
 
 
 def read_tracks_parquet(path: Path) -> Columns:
-    """Columns of a tracks.parquet: `class` as str, the others as float64 with NaN for null.
+    """Columns of a tracks.parquet: `TEXT_COLUMNS` as str, the others as float64 with NaN for null.
 
     Columns of other types are skipped. OutputError if the file cannot be read, is not of a run, or was written by a
     newer version.
@@ -193,8 +194,9 @@ def _usable_columns(path: Path, schema: pa.Schema) -> list[str]:
         raise ValueError("columns")
     names = []
     for field in schema:
-        kind = field.type.value_type if types.is_dictionary(field.type) and field.name == "class" else field.type
-        if field.name == "class":
+        is_text = field.name in TEXT_COLUMNS
+        kind = field.type.value_type if types.is_dictionary(field.type) and is_text else field.type
+        if is_text:
             is_usable = types.is_string(kind) or types.is_large_string(kind)
         else:
             is_usable = types.is_integer(kind) or types.is_floating(kind) or types.is_boolean(kind)
@@ -207,12 +209,12 @@ def _columns(table: pa.Table) -> Columns:
     columns: dict[str, Any] = {}
     for name in table.column_names:
         values = table.column(name)
-        if name != "class":
+        if name not in TEXT_COLUMNS:
             columns[name] = np.asarray(values.to_numpy(), np.float64)
             continue
         for chunk in values.chunks:  # each name of a dictionary once
             names = chunk.dictionary if hasattr(chunk, "dictionary") else chunk
             if names.nbytes > MAX_CLASS * (len(names) + 1) and max(map(len, names.drop_null().to_pylist())) > MAX_CLASS:
                 raise ValueError("class name too long")
-        columns[name] = np.asarray([str(value) for value in values.to_pylist()], np.str_)
+        columns[name] = np.asarray(["" if value is None else str(value) for value in values.to_pylist()], np.str_)
     return columns
