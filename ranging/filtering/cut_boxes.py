@@ -43,6 +43,7 @@ class CutBoxes:
     q: FloatArray  # 1 - b_f / b, 0 where the free edge is on the other side of the axis; also of whole boxes
     q_sigma: FloatArray  # its standard deviation
     length_m: FloatArray  # typical length L of the class
+    bearing: FloatArray  # b, of the middle of the box
 
     @classmethod
     def of(cls, tracks: Tracks, camera: PinholeCamera) -> CutBoxes:
@@ -54,7 +55,7 @@ class CutBoxes:
         b_f, b = np.where(middle < 0, -right, left), np.maximum(np.abs(middle), _LEAST)
         q = np.where(b_f > 0, 1 - b_f / b, 0.0)
         edge_sigma = _EDGE_SIGMA_PX / camera.fx_px + _EDGE_SIGMA_FRACTION * (right - left)
-        return cls(is_cut, q, edge_sigma / b, LENGTH_M[tracks.class_id])
+        return cls(is_cut, q, edge_sigma / b, LENGTH_M[tracks.class_id], middle)
 
 
 class SideState(NamedTuple):

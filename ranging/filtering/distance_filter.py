@@ -20,7 +20,9 @@ hide a side of the box), so does its systematic error: the variances of the old 
 so that the step does not appear as speed. A measurement beyond 3 sigma is down-weighted (Huber); after three in a row
 the filter restarts.
 
-Where the image border cuts a box, the prediction is that of the object's far end (`cut_boxes`).
+Rates and times to collision are those under the hypotheses that an object is static or moves (`static_objects`), if the
+ego speed is known. Where the image border cuts a box, the prediction is that of the object's far end (`cut_boxes`). The
+growth of objects in the images is a further measurement (`key_distance`).
 """
 
 from __future__ import annotations
@@ -36,6 +38,8 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.foundation.track_state import TrackState
 from track_range.ranging.filtering.cut_boxes import CutBoxes, SideState
+from track_range.ranging.filtering.key_distance import Growth, KeyDistance
+from track_range.ranging.filtering.static_objects import with_static_hypothesis
 from track_range.ranging.ranges import Ranges
 
 MIN_CLOSING_MPS = 0.3  # smallest closing speed with a time to collision; below, the time is mostly noise
@@ -128,10 +132,14 @@ class _FilterState(NamedTuple):
     P_dk: FloatArray
     P_vk: FloatArray
     P_kk: FloatArray
+    r: FloatArray  # the `KeyDistance`
+    P_dr: FloatArray
+    P_vr: FloatArray
+    P_rr: FloatArray
 
 
-_NAN, _ZERO = np.array(np.nan), np.array(0.0)
-_NEW_TRACK = _FilterState(_NAN, _NAN, _ZERO, _ZERO, _ZERO, _NAN, _NAN, _NAN, _NAN, _ZERO, _ZERO, _NAN, *[_ZERO] * 6)
+_N, _Z = np.array(np.nan), np.array(0.0)
+_NEW_TRACK = _FilterState(_N, _N, _Z, _Z, _Z, _N, _N, _N, _N, _Z, _Z, _N, *[_Z] * 6, _N, _Z, _Z, _Z)
 
 
 class DistanceFilters:
@@ -175,8 +183,10 @@ class DistanceFilters:
         conditions: Mapping[str, IntArray] | None = None,
         ego_speed_mps: float = math.nan,
         ego_sigma_mps: float = math.nan,
+        yaw_rad_s: float = math.nan,
         cut: CutBoxes | None = None,
         is_hidden: BoolArray | None = None,
+        growth: Growth | None = None,
     ) -> dict[str, FilteredRanges]:
         """Filtered ranges of every track at `time_s`, by method, after the measurements of this frame.
 
@@ -188,8 +198,10 @@ class DistanceFilters:
                 the systematic error.
             ego_speed_mps: current speed of the camera along its axis; NaN = unknown.
             ego_sigma_mps: its standard deviation; NaN = 0.
-            cut: boxes of the tracks that the image border cuts; None = none is cut.
+            yaw_rad_s: its yaw rate, positive = to the right; NaN = 0.
+            cut: boxes of the tracks that the image border cuts; None = none is cut, and all are on the camera's axis.
             is_hidden: (N,) whether distances come from boxes with hidden sides (`have_hidden_sides`); None = none.
+            growth: growth of the tracks in the images; None = not measured. Not used of boxes that are cut.
         """
         if by_method.keys().isdisjoint(self._methods):
             return {}
@@ -203,7 +215,7 @@ class DistanceFilters:
         dV_variance = np.where(
             dV == 0, 0.0, 2 * np.nan_to_num(ego_sigma_mps) ** 2 * -np.expm1(-dt / _EGO_CORRELATION_S)
         )
-        state, side, q = ConstantVelocity(*last[:5]), SideState(*last[-5:]), settings.acceleration_noise**2
+        state, side, q = ConstantVelocity(*last[:5]), SideState(*last[13:18]), settings.acceleration_noise**2
         is_side = (side.P_kk > 0) if cut is None else (side.P_kk > 0) | cut.is_cut
         if cut is not None and is_side.any():
             state, side, edge_variance = side.predicted(state, cut, dt, q=q)
@@ -216,6 +228,7 @@ class DistanceFilters:
         d[is_expired] = v[is_expired] = np.nan
         P_dd, P_dv = state.P_xx + dt * dt / 4 * dV_variance, state.P_xv + dt / 2 * dV_variance
         P_vv = state.P_vv + dV_variance
+        key = KeyDistance(*last[18:]).predicted(dt)
 
         # A change of condition: the step may be as large as the old and the new systematic error together.
         condition, is_changed = last.condition, np.zeros_like(valid)
@@ -225,7 +238,8 @@ class DistanceFilters:
             condition[i] = np.where(valid[i], code, condition[i])
         hidden = np.where(valid, 0.0 if is_hidden is None else is_hidden, last.is_hidden)
         may_step = is_changed | (hidden != last.is_hidden)
-        P_dd = P_dd + np.where(may_step, d * d * (last.systematic + systematic), 0.0)
+        step = np.where(may_step & np.isfinite(d), d * d * (last.systematic + systematic), 0.0)
+        P_dd, key = P_dd + step, key.stepped(d, step)
         steady_since_s = np.where(is_changed, time_s, last.steady_since_s)
 
         # Gate.
@@ -242,8 +256,10 @@ class DistanceFilters:
         # Update.
         state = ConstantVelocity(d, v, P_dd, P_dv, P_vv)
         R = R * np.maximum(1.0, excess) ** 2
-        side = side.updated(state, nu, R, valid=known)
+        side, key = side.updated(state, nu, R, valid=known), key.updated(state, nu, R, valid=known)
         state = state.update(nu, R, valid=known)
+        if growth is not None:
+            state, key = key.grown(state, growth, valid=~is_side & ~is_lost, outlier_sigma=settings.outlier_sigma)
         state = replace(state, x=np.maximum(state.x, _MIN_DISTANCE_M))
 
         # Restart.
@@ -255,6 +271,9 @@ class DistanceFilters:
             state = ConstantVelocity(*(np.where(starts, *pair) for pair in zip(initial, state.columns, strict=True)))
             side = side._replace(P_dk=np.where(starts, 0.0, side.P_dk), P_vk=np.where(starts, 0.0, side.P_vk))
             n_outliers, steady_since_s = np.where(starts, 0.0, n_outliers), np.where(starts, time_s, steady_since_s)
+            key = key._replace(r=np.where(starts, np.nan, key.r))
+        if growth is not None:
+            key = key.started(state, growth.is_key)
 
         new = _FilterState(
             *state.columns,
@@ -267,10 +286,12 @@ class DistanceFilters:
             steady_since_s=steady_since_s,
             is_hidden=hidden,
             **side._asdict(),
+            **key._asdict(),
         )
         is_recent = time_s - _FilterState._make(self._tracks.known).measured_s <= settings.max_gap_s
         self._tracks.put(track_id, np.array(new), keep_known=np.asarray(is_recent.any(axis=0)))
-        return self._filtered(new, by_method, time_s)
+        static_mps = np.nan_to_num(yaw_rad_s) * (0.0 if cut is None else cut.bearing) * state.x - ego_speed_mps
+        return self._filtered(new, by_method, time_s, static_mps, float(np.nan_to_num(ego_sigma_mps)))
 
     def _measured(
         self, by_method: Mapping[str, Ranges], n: int
@@ -297,23 +318,34 @@ class DistanceFilters:
         return distance_m, fraction * factor * variance, systematic, valid
 
     def _filtered(
-        self, state: _FilterState, by_method: Mapping[str, Ranges], time_s: float
+        self,
+        state: _FilterState,
+        by_method: Mapping[str, Ranges],
+        time_s: float,
+        static_mps: FloatArray,
+        ego_sigma_mps: float,
     ) -> dict[str, FilteredRanges]:
-        d, v, systematic = state.d, state.v, state.systematic
-        sigma_m = np.sqrt(state.P_dd + systematic * d**2)
-        is_steady = time_s - state.steady_since_s >= self._settings.min_steady_s
-        is_certain = (state.P_vv <= self._settings.max_rate_sigma_mps**2) & is_steady
-        rate_mps = np.where(is_certain, v, np.nan)
-        rate_sigma_mps = np.sqrt(state.P_vv + systematic * rate_mps**2)
-        ttc_s, ttc_sigma_s = time_to_collision(d, rate_mps, variances=(state.P_dd, state.P_dv, state.P_vv))
+        settings, now = self._settings, ConstantVelocity(*state[:5])
+        rated = with_static_hypothesis(
+            now,
+            state.systematic,
+            static_mps,
+            ego_sigma_mps=ego_sigma_mps,
+            own_sigma_mps=settings.target_speed_sigma_mps,
+        )
+        is_certain = np.minimum(now.P_vv, rated.P_vv) <= settings.max_rate_sigma_mps**2
+        is_certain &= time_s - state.steady_since_s >= settings.min_steady_s
+        rate_mps = np.where(is_certain, rated.v, np.nan)
+        sigma_m, rate_sigma_mps = np.sqrt(rated.P_xx), np.sqrt(np.where(is_certain, rated.P_vv, np.nan))
+        ttc_s, ttc_sigma_s = time_to_collision(now.x, rate_mps, variances=(rated.P_xx, rated.P_xv, rated.P_vv))
         return {
             name: FilteredRanges(
-                Ranges(by_method[name].track_id, d[i], sigma_m[i]),
+                Ranges(by_method[name].track_id, now.x[i], sigma_m[i]),
                 rate_mps[i],
                 rate_sigma_mps[i],
                 ttc_s[i],
                 ttc_sigma_s[i],
-                ConstantVelocity(d[i], v[i], state.P_dd[i], state.P_dv[i], state.P_vv[i]),
+                ConstantVelocity(*(column[i] for column in now.columns)),
             )
             for i, name in enumerate(self._methods)
             if name in by_method

@@ -56,7 +56,7 @@ def test_prediction_of_a_slide_by_hand():
     # Side 3 m to the left, far end from 15 to 12 m in 0.3 s: the free edge goes from -0.2 to -0.25, the middle of the
     # box from -0.6 to -0.625, where the side is 3 / 0.625 = 4.8 m away.
     before = CutBoxes.of(boxes(-1.0, -0.2), CAMERA)
-    cut = CutBoxes(before.is_cut, np.array([1 - 0.25 / 0.625]), np.zeros(1), np.array([20.0]))
+    cut = CutBoxes(before.is_cut, np.array([1 - 0.25 / 0.625]), np.zeros(1), np.array([20.0]), np.array([-0.625]))
     side = SideState(before.q[None], of_m(1), of_m(0), of_m(0), of_m(1e-12))
     state = ConstantVelocity(of_m(5), of_m(-10), of_m(0.01), of_m(0), of_m(0.04))
     predicted, _, _ = side.predicted(state, cut, of_m(0.3), q=0.0)

@@ -140,8 +140,8 @@ def test_constant_ego_speed_needs_no_sigma():
             result = tracker.update(
                 measured([1], [40.0 - step], 0.4), step * 0.1, ego_speed_mps=10.0, ego_sigma_mps=ego_sigma_mps
             )
-        results.append((result.rate_mps[0], result.rate_sigma_mps[0]))
-    assert results[0] == results[1]
+        results.append(np.array(result.state.columns))
+    assert np.array_equal(results[0], results[1])
 
 
 def test_new_track_starts_as_a_static_target():
@@ -150,7 +150,7 @@ def test_new_track_starts_as_a_static_target():
     unknown_ego = tracker.update(measured([1, 2], [np.nan, 30.0]), 0.1)
     assert unknown_ego.rate_mps == pytest.approx([-12.0, 0.0])
     again = tracker.update(measured([1], [np.nan]), 0.2, ego_speed_mps=5.0)  # a change while unknown is not braking
-    assert (again.rate_mps[0], again.ranges.distance_m[0]) == pytest.approx((-12.0, 37.6))
+    assert (again.state.v[0], again.ranges.distance_m[0]) == pytest.approx((-12.0, 37.6))
 
 
 def test_ttc_sigma_is_consistent_and_without_size_error():

@@ -247,6 +247,7 @@ class FusionStage:
             conditions={"fused": fused.condition},
             ego_speed_mps=ego.speed_mps,
             ego_sigma_mps=ego.speed_sigma_mps,
+            yaw_rad_s=ego.yaw_rad_s,
             cut=CutBoxes.of(tracks, self._camera),
             is_hidden=have_hidden_sides(tracks.xyxy_px) & (fused.scale_source == ScaleSource.ASSUMED)
             if self._has_visible_boxes
