@@ -1,6 +1,7 @@
 """Tests of the check that left and right show the same moment, on a vehicle that approaches walls."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -91,6 +92,18 @@ def test_frozen_side_has_no_stereo_and_then_no_lag() -> None:
         {"frame": 14, "time_s": 1.4, "side": "right", "kind": "repeated", "lag_frames": 0, "frames": 4}
         | {"action": "stereo off"}
     ]
+
+
+def test_camera_without_a_signal_has_no_stereo_for_that_long() -> None:
+    monitor = SyncMonitor(6)
+    black = [
+        replace(frame, right=np.full_like(frame.right, 7)) if 14 <= frame.index < 20 else frame
+        for frame in frames(GOOD, GOOD)
+    ]
+    assert [frame.index for frame in monitor.paired(black) if frame.right is None] == list(range(14, 20))
+    (note,) = monitor.notes
+    assert "The right images are black or uniform" in note
+    assert "from frame 14 (1.40 s) on, 6 frames" in note
 
 
 def test_inserted_frame_is_followed_by_a_lag() -> None:

@@ -28,7 +28,7 @@ from track_range.stereo.geometry.frames import Frame, ImageView, whole_image
 from track_range.stereo.geometry.rectification import RemappedView
 
 Side = Literal["left", "right"]
-Kind = Literal["repeated", "lag", "apart"]
+Kind = Literal["repeated", "lag", "apart", "uniform"]
 Action = Literal["stereo off", "re-paired"]
 
 _MAX_FINDINGS = 500  # largest number that is kept: one side may repeat every second image for hours
@@ -44,6 +44,7 @@ _CLEAR_RATIO = 0.15  # change of the logarithm of the ratio of right and left ch
 
 _N_USUAL, _MIN_USUAL = 15, 3  # number of frames whose median is the usual change
 _REPEATED, _NEVER_NEW = 0.25, 0.03  # largest change of a repeated image relative to its usual one, or to the other's
+_UNIFORM, _STRUCTURED = 3.0, 8.0  # standard deviation of grey levels of an image that shows nothing, and of the other
 _NOISE, _MIN_CHANGE = 0.3, 1.0  # change of the small images by noise, and the smallest one by motion, grey levels
 
 
@@ -66,6 +67,7 @@ class _Entry:
     small: tuple[Image, Image]
     shift: int | None  # the right image of its moment is that many frames later; None = stereo is off
     repeated: tuple[bool, bool] = (False, False)  # whether the left and the right image are those of the frame before
+    is_uniform: bool = False  # whether the image that counts as repeated shows nothing: covered, or without a signal
     is_unknown: bool = False  # whether stereo is off since left and right do not agree, which may have other reasons
 
 
@@ -105,11 +107,15 @@ class SyncMonitor:
         if frame.right is None:
             return [frame]
         entry = _Entry(frame, (_small(frame.left), _small(frame.right)), self._shift)
+        spread = np.array([cv2.meanStdDev(image)[1].item() for image in entry.small])
+        entry.is_uniform = spread.min() < _UNIFORM and spread.max() > _STRUCTURED
         self._entries.append(entry)
         self._n_waiting += 1
         self._credit = min(self._credit + _INCOME / self.period, _MAX_CREDIT)
         self._n_unchecked += 1
-        if len(self._entries) > 1:
+        if entry.is_uniform:
+            entry.repeated = bool(spread[0] < spread[1]), bool(spread[1] < spread[0])
+        elif len(self._entries) > 1:
             self._compare(entry, self._entries[-2])
             is_due = self._is_urgent or self._n_unchecked >= self.period
             if is_due and self._credit >= 1 and not any(entry.repeated):
@@ -141,7 +147,9 @@ class SyncMonitor:
         shift, frame = entry.shift or 0, entry.frame
         if shift or (is_off and not entry.is_unknown):
             side: Side = "left" if shift < 0 or entry.repeated[0] else "right"
-            kind: Kind = "repeated" if any(entry.repeated) else "lag" if shift else "apart"
+            kind: Kind = "lag" if shift else "apart"
+            if any(entry.repeated):
+                kind = "uniform" if entry.is_uniform else "repeated"
             action: Action = "stereo off" if is_off else "re-paired"
             if before is None or (before.kind, before.side, before.lag_frames) != (kind, side, abs(shift)):
                 before = SyncFinding(frame.index, frame.time_s, side, kind, abs(shift), 0, action)
@@ -313,6 +321,11 @@ def _sentence(group: list[SyncFinding]) -> str:
         return (
             f"The {first.side} video repeats its last image while the other one moves ({when}): {off}; check the "
             f"{first.side} camera and its recording."
+        )
+    if first.kind == "uniform":
+        return (
+            f"The {first.side} images are black or uniform, while the other ones are not ({when}): {off}; check the "
+            f"lens, the exposure and the cable of the {first.side} camera."
         )
     if first.kind == "apart":
         return (
