@@ -31,7 +31,7 @@ import numpy as np
 from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.track_state import TrackState
-from track_range.ranging.doubt.scale_doubt import SHOWN_SIGMA, Agreement, Cause, Evidence, ScaleDoubt, known_mistakes
+from track_range.ranging.doubt.scale_doubt import SHOWN_SIGMA, Agreement, Cause, Evidence, ScaleDoubt, unlikelihood
 from track_range.ranging.doubt.shape_check import ShapeCheck
 from track_range.ranging.methods.lane_width import LaneWidth
 from track_range.ranging.ranges import Ranges
@@ -57,7 +57,7 @@ _FREE_SIGMA = 3.0  # of a mistake
 _MAX_MPS, _MAX_MPS_SIGMA = 45.0, 0.15  # speed that vehicles hardly exceed, and the sigma of its logarithm
 _N_STEADY, _STEADY = 8, 1.3  # frames of a speed, and its largest change: odometry of unrelated images is not steady
 _DOUBTFUL, _RESOLVED = 9.0, 4.0  # differences of chi-squared at which a doubt starts and ends
-_NEARLY = 4.0  # largest difference between causes that both fit; price of a factor without a known mistake
+_NEARLY = 4.0  # largest difference between causes that both fit
 _TAILS = 4.0  # largest chi-squared of a usual height and of a usual lane
 _OUTLIER, _OUTLIER_SIGMA = 0.1, 1.0  # fraction of objects with a mismatch or a wrong class, and their sigma
 _MIN_OBJECT_SIGMA = 0.06  # of an object: its frames do not average out
@@ -271,16 +271,15 @@ class ScaleCheck:
             if unknown == _RIG:
                 self.agreement = Agreement(math.exp(x[_RIG]), sigma, names)
             factor = math.exp(x[unknown] if unknown != _HEIGHT else -x[unknown])
-            is_known = cause == "baseline" or known_mistakes(cause, factor, sigma)
             if {_RIG: self.baseline_m is not None, _HEIGHT: self._has_height, _SPEED: bool(self._given_sigmas)}.get(
                 unknown, True
             ):
-                fits.append((chi2 + (0.0 if is_known else _NEARLY), cause, factor, sigma, chi2))
+                fits.append((chi2 + unlikelihood(cause, factor, sigma), cause, factor, sigma, chi2))
         if right.chi2 - min(chi2 for *_, chi2 in fits) < (_DOUBTFUL if self.doubt is None else _RESOLVED):
             return None
         fits.sort()
-        least, _, factor, sigma, _ = fits[0]
-        near = tuple((cause, value) for priced, cause, value, *_ in fits if priced < least + _NEARLY)
+        _, _, factor, sigma, _ = fits[0]
+        near = tuple((cause, value) for priced, cause, value, *_ in fits if priced < fits[0][0] + _NEARLY)
         return ScaleDoubt(factor, sigma, n_objects, near, names)
 
     def _fitted(self, evidence: list[Evidence], priors: FloatArray) -> _Solution:

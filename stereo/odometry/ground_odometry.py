@@ -37,7 +37,8 @@ from track_range.stereo.odometry.speed_filter import SpeedFilter
 # The picture from above, and the search of the shift:
 _HALF_WIDTH_M = 1.5  # half the width of the picture
 _NEAREST_M = 4.5  # nearest road in the picture, if the image shows it
-_FARTHEST_M = 15.0  # farthest road in the picture; beyond it, a pixel of the camera covers 0.2 m
+_FARTHEST_M = 15.0  # farthest road in the picture, if it is long enough
+_MIN_LENGTH_M, _MAX_PIXEL_M = 8.0, 0.25  # length of the picture to aim at, and of the road that a pixel may cover in it
 _STEP_X_M, _STEP_Z_M = 0.15, 0.1  # size of a cell of the picture
 _STRIP_M = 2.0  # length of a strip
 _PICTURE_M = 9.0  # distance of the middle of the picture, at which its plane has the slope of the road
@@ -176,19 +177,22 @@ class GroundOdometry:
         view, camera = self._horizon.view, self._camera
         horizon = view.horizon - view.curvature_per_m * _PICTURE_M / 2
         lowest = (camera.height_px - 2 - camera.cy_px) / camera.fy_px
-        nearest_m = max(_NEAREST_M, self.height_m / (lowest - horizon))
-        if not 0 < nearest_m < _FARTHEST_M - 2 * _STRIP_M:
+        sharp_m = math.sqrt(_MAX_PIXEL_M * camera.fy_px * self.height_m)
+        nearest_m = max(_NEAREST_M * min(sharp_m / _FARTHEST_M, 1.0), self.height_m / (lowest - horizon))
+        farthest_m = min(max(_FARTHEST_M, nearest_m + _MIN_LENGTH_M), sharp_m)
+        if not 0 < nearest_m < farthest_m - 2 * _STRIP_M:
             return math.nan
         # the road at all cells in both images, from far to near
         level = cv2.Rodrigues(np.array([-horizon, self._side, 0.0]))[0]
-        Z = np.arange(_FARTHEST_M, nearest_m, -_STEP_Z_M)
+        Z = np.arange(farthest_m, nearest_m, -_STEP_Z_M)
         X = np.arange(-_HALF_WIDTH_M, _HALF_WIDTH_M, _STEP_X_M)
         road = np.stack([np.tile(X, len(Z)), np.full(len(X) * len(Z), self.height_m), np.repeat(Z, len(X))], axis=1)
         before_px, now_px = camera.project(road @ level.T), camera.project(road @ (motion.rotation @ level).T)
         hw = len(Z), len(X)
         masked_fraction = np.maximum(_inside(before_px, boxes[0]), _inside(now_px, boxes[1])).reshape(hw).mean(axis=1)
         pictures = _sampled(before, before_px, hw), _sampled(now, now_px, hw)
-        distance_m, scores = _strip_correlations(*pictures, masked_fraction, motion.dt_s)
+        nearer_m, scores = _strip_correlations(*pictures, masked_fraction, motion.dt_s)
+        distance_m = farthest_m - nearer_m
         best = _best_shift(scores)
         if best is None or (len(scores) < _MIN_STRIPS and math.isnan(self._last[1].speed_mps)):
             return math.nan  # two strips only confirm a speed
@@ -215,10 +219,13 @@ class GroundOdometry:
 def _strip_correlations(
     before: FloatArray32, now: FloatArray32, masked_fraction: FloatArray, dt_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """(K,) distances of the usable strips of two pictures, (K, M) their correlations; NaN = outside the picture."""
+    """(K,) by how much usable strips of two pictures are nearer than their far end, in m, (K, M) their correlations.
+
+    NaN = outside the picture.
+    """
     n_strip = round(_STRIP_M / _STEP_Z_M)
     n_shifts = min(round(_MAX_SPEED_MPS * dt_s / _STEP_Z_M), len(before) - n_strip) + 1
-    distances_m, scores = [], []
+    nearer_m, scores = [], []
     for top in range(0, len(before) - n_strip + 1, n_strip // 2):
         strip = before[top : top + n_strip]
         if masked_fraction[top : top + n_strip].mean() > _MAX_MASKED_FRACTION or strip.std() < _MIN_STRIP_GREY:
@@ -226,9 +233,9 @@ def _strip_correlations(
         score = np.full(n_shifts, np.nan)
         known = cv2.matchTemplate(now[top:], strip, cv2.TM_CCOEFF_NORMED)[:n_shifts, 0]
         score[: len(known)] = known
-        distances_m.append(_FARTHEST_M - _STEP_Z_M * (top + (n_strip - 1) / 2))
+        nearer_m.append(_STEP_Z_M * (top + (n_strip - 1) / 2))
         scores.append(score)
-    return np.array(distances_m), np.array(scores)
+    return np.array(nearer_m), np.array(scores)
 
 
 def _best_shift(scores: FloatArray) -> float | None:
