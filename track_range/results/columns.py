@@ -166,13 +166,12 @@ def methods_with_sigma() -> list[str]:
 def distance_names(names: Iterable[str]) -> list[str]:
     """Names NAME of the columns NAME_m that are distances, in their order.
 
-    These are registered methods, "fused" and filtered ones, and methods of packages that are not installed here: NAME_m
-    and NAME_sigma_m that are no columns of this installation.
+    These are registered methods, "fused" and filtered ones, and methods of packages that are not installed here:
+    columns that this installation does not have.
     """
-    names, known, columns = list(names), set(methods_with_sigma()), set(column_names())
+    known, others = set(methods_with_sigma()), {*column_names(), "truth_m", "scored_truth_m"}
     listed = [name.removesuffix("_m") for name in names if name.endswith("_m") and not name.endswith("_sigma_m")]
-    others = {name for name in listed if f"{name}_m" not in columns and f"{name}_sigma_m" in names}
-    return [name for name in listed if name in known or name in others]
+    return [name for name in listed if name in known or f"{name}_m" not in others]
 
 
 def methods_measured(columns: Columns) -> list[str]:

@@ -14,6 +14,7 @@ from track_range.ranging.registry import methods as ranging_methods
 from track_range.ranging.warning.warnings import Warnings
 from track_range.ranging.world.object_motion import MOTION_STATES, ObjectMotion
 from track_range.results.columns import Columns, boxes_px, methods_with_sigma
+from track_range.results.formats.poses_file import Poses
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
 
@@ -21,12 +22,12 @@ _NO_IMAGE = np.zeros((0, 0, 3), np.uint8)
 
 
 def frames_of_rows(
-    columns: Columns, frame_index: Iterable[int], methods: Iterable[str], fps: float
+    columns: Columns, frame_index: Iterable[int], methods: Iterable[str], fps: float, poses: Poses | None = None
 ) -> Iterator[FrameResult]:
     """One result per frame; numbers have the precision of the rows, and the UTC of frames without tracks is unknown.
 
     `columns` are in the order of their frames; `frame_index` are the numbers of all frames of the run, in order;
-    `methods` are the distances that were measured; `fps` is the nominal frame rate.
+    `methods` are the distances that were measured; `fps` is the nominal frame rate; `poses` are those of the camera.
     """
     frame = columns["frame"]
     known_frame, first_row = np.unique(frame, return_index=True)
@@ -80,4 +81,5 @@ def frames_of_rows(
             ego_mps=float(ego_mps[first]) if last > first else math.nan,
             warnings=None if warnings is None else warnings.select(rows),
             motion=None if motion is None else motion.select(rows),
+            ego_pose=None if poses is None else poses.at(index),
         )

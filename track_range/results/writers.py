@@ -35,6 +35,7 @@ FILES_OF_WRITERS: Mapping[str, str] = {  # of this package, for help texts
     "recorded": "recorded_boxes.csv, in pixels of the video",
     "mcap": "run.mcap, for Foxglove and ROS 2",
     "rrd": "run.rrd, for rerun",
+    "openscenario": "run.xosc, trajectories for simulators",
 }
 
 _RUN_FILES = (  # besides those of its writers
@@ -112,6 +113,7 @@ WRITERS: Registry[WriterFactory | str] = Registry(  # imported on first use
         "recorded": "track_range.results.formats.box_files:RecordedBoxesWriter",
         "mcap": "track_range.results.formats.mcap.writer:McapWriter",
         "rrd": "track_range.results.formats.rerun_file:RerunWriter",
+        "openscenario": "track_range.results.formats.openscenario_file:OpenScenarioWriter",
     },
 )
 

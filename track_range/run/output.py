@@ -29,6 +29,7 @@ from track_range.recording.telemetry.track import TELEMETRY_FILE, write_position
 from track_range.results.columns import Columns
 from track_range.results.events.event import CLIPS_FOLDER, Event
 from track_range.results.events.files import EventFiles
+from track_range.results.formats.poses_file import read_poses
 from track_range.results.progress_note import OPENING, PROCESSING, PROGRESS_FILE, ProgressNote
 from track_range.results.writers import OpenWriters, create_writers, result_names
 from track_range.run.pictures import pictures
@@ -198,7 +199,7 @@ class RunOutput:
         settings, folder, rows, track = self._settings, self.folder, self._session.rows, self._session.speed.track
         clips = folder / CLIPS_FOLDER if settings.clips else None
         shown = {key: value for key, value in absolute_settings(settings).items() if value not in ([], {})}
-        report = {**summary, "settings": shown}
+        report, poses = {**summary, "settings": shown}, read_poses(folder)
         steps: list[Callable[[], object]] = [partial(self._events.finish, rows.events)]
         if clips is not None and "overlay" in self.videos:
             overlay = folder / self.videos["overlay"]
@@ -206,7 +207,7 @@ class RunOutput:
             self.files += (clips,) if rows.events else ()
         steps += [
             partial(write_json, folder / "summary.json", summary),
-            partial(write_report, folder / "report.html", report, columns, rows.events, clips=clips),
+            partial(write_report, folder / "report.html", report, columns, rows.events, clips=clips, poses=poses),
             partial(self._writers.close, summary),
         ]
         if settings.keep_gps and track is not None:

@@ -132,7 +132,8 @@ def test_foxglove_calibration_and_transform(foxglove: dict[str, Any]) -> None:
         assert list(message.K) == [700.0, 0, 20.0, 0, 710.0, 30.0, 0, 0, 1]
         assert list(message.P) == [700.0, 0, 20.0, 0, 0, 710.0, 30.0, 0, 0, 0, 1, 0]
         assert list(message.R) == [1, 0, 0, 0, 1, 0, 0, 0, 1]
-    (transform,) = foxglove["/tf"][0][2].transforms
+    vehicle, transform = foxglove["/tf"][0][2].transforms
+    assert (vehicle.parent_frame_id, vehicle.child_frame_id, vehicle.translation.x) == ("map", "vehicle", 8.0)
     assert (transform.parent_frame_id, transform.child_frame_id) == ("vehicle", "camera")
     rotation = transform.rotation
     assert (rotation.x, rotation.y, rotation.z, rotation.w) == VEHICLE_FROM_CAMERA_XYZW
@@ -185,7 +186,8 @@ def test_foxglove_ranges(foxglove: dict[str, Any]) -> None:
     rows = [message["tracks"] for _, _, message in foxglove["/tracks/ranges"]]
     assert rows[0] == [
         {"id": 3, "class": "car", "observed": True, "distance_m": 12.0, "sigma_m": 0.5, "closing_mps": 2.0,
-         "closing_sigma_mps": 0.5, "ttc_s": 6.0},
+         "closing_sigma_mps": 0.5, "ttc_s": 6.0, "speed_mps": 8.5, "speed_sigma_mps": 0.4, "heading_deg": -12.5,
+         "world_x_m": 20.25, "world_y_m": -3.5},
         {"id": 7, "class": "traffic light", "observed": False},
     ]  # fmt: skip
     assert [row["id"] for row in rows[2]] == [7]
@@ -241,8 +243,12 @@ def test_ros2_messages(ros2: dict[str, Any]) -> None:
     assert (status.name, status.message) == ("track 3", "car")
     figures = {value.key: float(value.value) for value in status.values}
     assert (figures["closing_mps"], figures["observed"]) == (2.0, 1)
-    (transform,) = ros2["/tf"][0][2].transforms
+    vehicle, transform = ros2["/tf"][0][2].transforms
     assert (transform.header.frame_id, transform.child_frame_id) == ("vehicle", "camera")
+    assert (vehicle.header.frame_id, vehicle.child_frame_id) == ("map", "vehicle")
+    at, turn = vehicle.transform.translation, vehicle.transform.rotation
+    assert (at.x, at.y, at.z) == (8.0, -1.0, 0.0)
+    assert 2 * np.arctan2(turn.z, turn.w) == pytest.approx(-0.5)
     assert ros2["/rosout"][0][2].msg == "a note at the end"
 
 

@@ -82,6 +82,17 @@ def test_scene(recording: Rows) -> None:
     assert values(recording, "/camera/image/boxes", ":labels")[0] == ["car 3  12.0 ± 0.5 m", "traffic light 7"]
 
 
+def test_map(recording: Rows) -> None:
+    assert values(recording, "/map/vehicle", "Transform3D:translation")[0] == [[8.0, -1.0, 0.0]]
+    points = values(recording, "/map/tracks", ":positions")
+    assert [len(positions) for positions in points] == [1, 1, 0, 1]
+    assert points[0] == [[20.25, -3.5, 0.0]]
+    (path,) = values(recording, "/map/paths/vehicle", ":strips")
+    assert path == [[[8.0, -1.0, 0.0]] * 4]
+    (paths,) = values(recording, "/map/paths/tracks", ":strips")
+    assert paths == [[[20.25, -3.5, 0.0]] * 3]
+
+
 def test_stores_and_provenance(tmp_path: Path) -> None:
     path = write(tmp_path, start_utc_s=START_S)
     reader = rr.chunk.RrdReader(path)

@@ -18,7 +18,7 @@ from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import methods
 from track_range.ranging.world.ego_path import EgoPose
 from track_range.ranging.world.object_motion import ObjectMotion
-from track_range.results.columns import column_names, methods_with_sigma
+from track_range.results.columns import column_names, distance_names, methods_with_sigma
 from track_range.results.formats.csv_file import read_tracks_csv
 from track_range.results.table import FRAMES_PER_BATCH, RunTable
 from track_range.results.writers import OpenWriters, RunInfo
@@ -103,6 +103,15 @@ def test_columns_of_further_methods_are_appended(tmp_path):
         columns = read_tracks_csv(tmp_path / "tracks.csv")
     np.testing.assert_equal(columns["toy_m"], [9.0, np.nan])
     np.testing.assert_equal(columns["toy_kf_m"], [np.nan, np.nan])
+
+
+def test_only_distances_of_methods_are_distances():
+    """Further columns in metres do not become methods; those of methods of other packages do."""
+    names = [*column_names(), "truth_m", "scored_truth_m", "radar_m", "radar_sigma_m"]
+    found = distance_names(names)
+    assert found[-1] == "radar"
+    assert set(found) == {*methods_with_sigma(), "radar"}
+    assert not {"x", "y", "path_offset", "world_x", "world_y", "truth"} & set(found)
 
 
 def test_every_built_in_method_has_columns():

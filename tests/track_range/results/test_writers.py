@@ -26,7 +26,7 @@ from track_range.run.settings import RunSettings
 from track_range.run.settings_files import settings_from
 from track_range.stereo.geometry.camera import PinholeCamera
 
-BUILT_IN = ("csv", "mot", "parquet", "poses", "kitti", "recorded", "mcap", "rrd")
+BUILT_IN = ("csv", "mot", "parquet", "poses", "kitti", "recorded", "mcap", "rrd", "openscenario")
 INFO = RunInfo(camera=PinholeCamera(700.0, 700.0, 320.0, 240.0, 640, 480), rig=None, fps=10.0, settings={})
 ROW = "0 1 Car 0 0 0 10 10 40 40 -1 -1 -1 -1000 -1000 -1000 -10 0.9\n"
 

@@ -94,7 +94,7 @@ def test_run_is_not_replaced(run: Path, tmp_path: Path, cli: Cli) -> None:
     assert "a run is writing" in error
 
 
-@pytest.mark.parametrize("name", ["parquet", "mcap", "rrd", "kitti"])
+@pytest.mark.parametrize("name", ["parquet", "mcap", "rrd", "kitti", "openscenario"])
 @pytest.mark.parametrize(("column", "value"), [("class", "c" * 150), ("fused_m", "inf"), ("time_s", "9e9")])
 def test_unusual_rows(run: Path, tmp_path: Path, cli: Cli, name: str, column: str, value: str) -> None:
     """A class of another program, and numbers that no run writes, in one row of three."""

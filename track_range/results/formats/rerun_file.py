@@ -4,6 +4,7 @@
     camera/image/boxes           boxes in the image
     world/camera, world/tracks   camera and cuboids (x right, y down, z forward)
     birds_eye/tracks             the tracks from above: x right, y = -z
+    map/vehicle, map/tracks      poses and positions in the world (x forward, y left, z up); paths in map/paths
     distance/track_ID, closing_speed/track_ID, log
 
 Timelines: `frame`, and `time` (UTC where the recording knows it, else seconds from the first frame).
@@ -23,13 +24,16 @@ from typing import Any
 import numpy as np
 
 from track_range.foundation.files import atomic_files
+from track_range.pipeline.colours import track_colour
 from track_range.pipeline.frame_result import FrameResult
-from track_range.results.formats.scene import TrackObject, check_extra, track_objects
+from track_range.ranging.world.ego_path import EgoPose
+from track_range.results.formats.scene import TrackObject, check_extra, map_from_vehicle, track_objects
 from track_range.results.writers import RunInfo
 
 RERUN_FILE = "run.rrd"
 APPLICATION = "track-range"  # application id: the viewer stores changes of the blueprint by it
 _VIDEO, _BOXES, _TRACKS, _TOP_VIEW = "camera/image/video", "camera/image/boxes", "world/tracks", "birds_eye/tracks"
+_MAP, _VEHICLE, _MAP_TRACKS, _PATHS = "map", "map/vehicle", "map/tracks", "map/paths"
 _DISTANCE, _CLOSING, _LOG = "distance", "closing_speed", "log"
 _MAX_VIDEO_BYTES = 1_000_000_000  # largest video that is embedded; the viewer holds it in memory
 _PREDICTED_ALPHA, _OBSERVED_ALPHA = 110, 255
@@ -63,6 +67,9 @@ class RerunWriter:
             image_plane_distance=3.0,
         )
         self._recording.log("world", rr.ViewCoordinates.RDF, static=True)
+        self._recording.log(_MAP, rr.ViewCoordinates.FLU, static=True)
+        self._path: list[tuple[float, float, float]] = []
+        self._paths: dict[int, list[tuple[float, float, float]]] = {}  # by track
         self._recording.log("world/camera", pinhole, static=True)
         self._recording.log("birds_eye/camera", rr.Points2D([[0.0, 0.0]], labels=["camera"], radii=0.5), static=True)
         self._held: FrameResult | None = None
@@ -70,7 +77,7 @@ class RerunWriter:
         self._times_s: list[float] = []
         self._last_s, self._named = 0.0, set[int]()
         self._first_notes = info.notes
-        self._path = folder / RERUN_FILE
+        self._file = folder / RERUN_FILE
 
     def write(self, result: FrameResult) -> None:
         """Log the frame before this one, and hold this one."""
@@ -88,7 +95,8 @@ class RerunWriter:
             notes = (summary or {}).get("notes") or ()
             self._log_notes((*self._first_notes, *(note for note in notes if note not in self._info.notes)))
             self._log_video()
-            atomic_files.write_bytes(self._path, self._stream.read() or b"")
+            self._log_paths()
+            atomic_files.write_bytes(self._file, self._stream.read() or b"")
         finally:
             self._recording.disconnect()
 
@@ -109,7 +117,37 @@ class RerunWriter:
             self._recording.set_time("time", timestamp=self._last_s)
         self._log_notes(self._first_notes)
         self._first_notes = ()
-        self._log_objects(list(track_objects(result, self._info.camera)))
+        objects = list(track_objects(result, self._info.camera))
+        self._log_objects(objects)
+        self._log_map(objects, result.ego_pose)
+
+    def _log_map(self, objects: Sequence[TrackObject], pose: EgoPose | None) -> None:
+        import rerun as rr
+
+        if pose is None or not math.isfinite(pose.x_m):
+            return
+        at_m, xyzw = map_from_vehicle(pose)
+        self._path.append(at_m)
+        self._recording.log(_VEHICLE, rr.Transform3D(translation=at_m, quaternion=rr.Quaternion(xyzw=xyzw)))
+        self._recording.log(_VEHICLE, rr.Arrows3D(vectors=[[4.0, 0.0, 0.0]], radii=0.3, labels=["camera"]))
+        placed = [shown for shown in objects if math.isfinite(shown.world_x_m)]
+        points = [(shown.world_x_m, shown.world_y_m, 0.0) for shown in placed]
+        colours = [_rgba(shown) for shown in placed]
+        labels = [shown.label for shown in placed]
+        self._recording.log(_MAP_TRACKS, rr.Points3D(points, radii=0.6, colors=colours, labels=labels))
+        for shown, point in zip(placed, points, strict=True):
+            self._paths.setdefault(shown.track_id, []).append(point)
+
+    def _log_paths(self) -> None:
+        """The paths of the whole run in the frame `map`."""
+        import rerun as rr
+
+        if not self._path:
+            return
+        self._recording.log(f"{_PATHS}/vehicle", rr.LineStrips3D([self._path], radii=0.2), static=True)
+        colours = [track_colour(track_id)[::-1] for track_id in self._paths]
+        strips = rr.LineStrips3D(list(self._paths.values()), radii=0.05, colors=colours)
+        self._recording.log(f"{_PATHS}/tracks", strips, static=True)
 
     def _log_objects(self, objects: Sequence[TrackObject]) -> None:
         import rerun as rr
@@ -196,6 +234,7 @@ def _blueprint(*, has_video: bool) -> Any:
                 rrb.Tabs(
                     rrb.Spatial2DView(origin="birds_eye", name="Bird's eye (m)"),
                     rrb.Spatial3DView(origin="world", name="3-D scene"),
+                    rrb.Spatial3DView(origin=_MAP, name="Map"),
                 ),
             ),
             rrb.Vertical(

@@ -15,10 +15,13 @@ from track_range.foundation.files.input_files import shortened
 from track_range.foundation.library_telemetry import disable_telemetry
 from track_range.pipeline.colours import track_colour, warning_colour
 from track_range.pipeline.frame_result import FrameResult
+from track_range.ranging.world.ego_path import EgoPose
+from track_range.ranging.world.object_motion import ObjectMotion
 from track_range.stereo.geometry.camera import PinholeCamera
 
-CAMERA_FRAME, VEHICLE_FRAME = "camera", "vehicle"
-"""Coordinate frames: camera (x right, y down, z forward), and vehicle at the same place (x forward, y left, z up)."""
+CAMERA_FRAME, VEHICLE_FRAME, MAP_FRAME = "camera", "vehicle", "map"
+"""Coordinate frames: camera (x right, y down, z forward), vehicle at the same place (x forward, y left, z up), and the
+world of `EgoPose`, in which the vehicle moves."""
 
 VEHICLE_FROM_CAMERA_XYZW = (-0.5, 0.5, -0.5, 0.5)
 """Unit quaternion that rotates vectors of the camera frame into the vehicle frame."""
@@ -27,7 +30,10 @@ _LENGTH_M = dict(zip(ROAD_CLASSES, (0.5, 1.7, 4.2, 2.1, 11.0, 8.0, 0.3, 0.1), st
 """Nominal length of each class, m, since an image shows only width and height; typical sizes."""
 
 
-FIGURES = ("distance_m", "sigma_m", "closing_mps", "closing_sigma_mps", "ttc_s")
+FIGURES = (
+    *("distance_m", "sigma_m", "closing_mps", "closing_sigma_mps", "ttc_s"),
+    *("speed_mps", "speed_sigma_mps", "heading_deg", "world_x_m", "world_y_m"),
+)
 """Numbers of a track that may be unknown."""
 
 
@@ -45,6 +51,11 @@ class TrackObject:
     closing_mps: float
     closing_sigma_mps: float
     ttc_s: float
+    speed_mps: float  # over ground
+    speed_sigma_mps: float
+    heading_deg: float  # in the frame `map`, as the position
+    world_x_m: float
+    world_y_m: float
     centre_m: tuple[float, float, float]  # of the cuboid in the camera frame
     size_m: tuple[float, float, float]  # width (x), height (y) and nominal length (z) of the cuboid
     rgb: tuple[int, int, int]  # 0 to 255; red and amber shortly before a predicted collision
@@ -65,7 +76,7 @@ class TrackObject:
 
     @property
     def figures(self) -> dict[str, float]:
-        """Known distance, closing speed and time to collision with their sigmas, by name with unit."""
+        """Known numbers of `FIGURES`, by name with unit."""
         values = {name: getattr(self, name) for name in FIGURES}
         return {name: value for name, value in values.items() if math.isfinite(value)}
 
@@ -83,7 +94,9 @@ def track_objects(result: FrameResult, camera: PinholeCamera) -> Iterator[TrackO
     centre_y_m = ((y1 + y2) / 2 - camera.cy_px) / camera.fy_px * distance_m
     width_m, height_m = (x2 - x1) / camera.fx_px * distance_m, (y2 - y1) / camera.fy_px * distance_m
     centre_m = np.column_stack([centre_x_m, centre_y_m, distance_m + length_m / 2])
-    figures = (distance_m, sigma_m, result.closing_mps, result.closing_sigma_mps, result.ttc_s)
+    motion = result.motion or ObjectMotion.unknown(n)
+    in_world = (getattr(motion, name) for name in FIGURES[5:])
+    figures = (distance_m, sigma_m, result.closing_mps, result.closing_sigma_mps, result.ttc_s, *in_world)
     numbers = np.column_stack([tracks.score, *figures]).tolist()
     size_m = np.column_stack([width_m, height_m, length_m])
     for i, (score, *known) in enumerate(numbers):
@@ -100,6 +113,14 @@ def track_objects(result: FrameResult, camera: PinholeCamera) -> Iterator[TrackO
             rgb=(red, green, blue),
             **dict(zip(FIGURES, known, strict=True)),
         )
+
+
+def map_from_vehicle(pose: EgoPose | None) -> tuple[tuple[float, float, float], tuple[float, float, float, float]]:
+    """Translation in m and unit quaternion x, y, z, w of the vehicle in the frame `map`; at its origin if unknown."""
+    if pose is None or not math.isfinite(pose.x_m):
+        return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)
+    half_rad = pose.heading_rad / 2
+    return (pose.x_m, pose.y_m, 0.0), (0.0, 0.0, math.sin(half_rad), math.cos(half_rad))
 
 
 class ExtraError(UserError):

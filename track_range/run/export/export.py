@@ -26,6 +26,7 @@ from track_range.foundation.files.output_files import OutputError, make_folder
 from track_range.foundation.options import Options, option
 from track_range.results.columns import Columns, methods_measured
 from track_range.results.folder import DEFAULT_FPS, RunFolder
+from track_range.results.formats.poses_file import read_poses
 from track_range.results.replay import frames_of_rows
 from track_range.results.writers import WRITERS, RunInfo, create_writer
 from track_range.run.export.source import (
@@ -39,7 +40,7 @@ from track_range.run.export.source import (
 )
 from track_range.stereo.geometry.camera import PinholeCamera
 
-MARKS: Mapping[str, bytes] = {"parquet": b"PAR1", "mcap": b"\x89MCAP", "rrd": b"RRF"}
+MARKS: Mapping[str, bytes] = {"parquet": b"PAR1", "mcap": b"\x89MCAP", "rrd": b"RRF", "openscenario": b"<?xml"}
 """First bytes of the files that only result writers write, from the rows of a run."""
 
 _Write = Callable[[BoxTable, Path], Written]
@@ -195,7 +196,7 @@ def _export_rows(settings: ExportSettings, run: RunFolder, camera: PinholeCamera
     frames = frames_listed(boxes_of_run(run, camera))
     writer = create_writer(settings.to)
     check_replaceable(settings.out, settings.to)
-    fps = run.fps or DEFAULT_FPS
+    fps, poses = run.fps or DEFAULT_FPS, read_poses(run.folder)
     info = RunInfo(
         camera=camera,
         rig=None,
@@ -209,7 +210,7 @@ def _export_rows(settings: ExportSettings, run: RunFolder, camera: PinholeCamera
         folder = Path(temporary)
         writer.open(info, folder)
         try:
-            for result in frames_of_rows(columns, frames, methods_measured(columns), fps):
+            for result in frames_of_rows(columns, frames, methods_measured(columns), fps, poses):
                 writer.write(result)
         finally:
             writer.close(run.summary)

@@ -28,6 +28,7 @@ from track_range.foundation.files.structured_text import parse_json
 from track_range.pipeline.colours import colour_of_each
 from track_range.results.columns import Columns, methods_measured
 from track_range.results.events.event import Event, is_clip_name
+from track_range.results.formats.poses_file import Poses
 from track_range.views.report import tables
 from track_range.views.report.comparison import (
     ComparedRun,
@@ -38,6 +39,7 @@ from track_range.views.report.comparison import (
     event_sentence,
     settings_grid,
 )
+from track_range.views.report.content.drive_map import drive_map
 from track_range.views.report.content.errors import calibration_curves, error_curves
 from track_range.views.report.content.events import clips_of, event_records, hidden_events_note, shown_events
 from track_range.views.report.content.road import box_columns, camera_of_rows, road_columns, uncalibrated_video
@@ -56,7 +58,7 @@ from track_range.views.report.tables import accuracy_grids, mot_grid, speed_grid
 
 _SCRIPTS = (  # in the order of their execution
     *("elements", "theme_and_tables", "drawing", "tracks", "birds_eye"),
-    *("timeline", "playback", "known_distances", "run_charts", "start"),
+    *("timeline", "playback", "drive_map", "known_distances", "run_charts", "start"),
 )
 
 
@@ -67,12 +69,14 @@ def write_report(
     events: Sequence[Event] | None = None,
     *,
     clips: Path | None = None,
+    poses: Poses | None = None,
 ) -> None:
     """Write the report of a run atomically, usually beside overlay.mp4; OutputError if the file cannot be written.
 
     `columns` are tracks.csv by column, NaN = empty, with the ground truth (`results.summary`) where there is one; zero
     rows without tracks. `events` are in the order of events.csv; None = unknown, the page is then without them. `clips`
-    is the folder of their clips, to which the page links; it may be missing. None = no links.
+    is the folder of their clips, to which the page links; it may be missing. None = no links. `poses` are those of the
+    camera, for the map of the drive; None = no map.
     """
     addresses = {}
     with suppress(OSError):  # the folder of the clips is missing
@@ -80,7 +84,7 @@ def write_report(
             names = [entry.name for entry in clips.iterdir() if is_clip_name(entry.name)]
             start = Path(os.path.relpath(real_path(clips), real_path(path.parent))).as_posix()
             addresses = {name: address(f"{start}/{name}") for name in names}
-    _write_page(path, report_page(summary, columns, events, clips=addresses))
+    _write_page(path, report_page(summary, columns, events, clips=addresses, poses=poses))
 
 
 def write_comparison(path: Path, runs: Sequence[ComparedRun]) -> None:
@@ -99,18 +103,20 @@ def report_page(
     events: Sequence[Event] | None = None,
     *,
     clips: Mapping[str, str] | None = None,
+    poses: Poses | None = None,
 ) -> str:
-    """HTML of the report of a run; `events`: see `write_report`; `clips`: addresses by file name."""
+    """HTML of the report of a run; `events` and `poses`: see `write_report`; `clips`: addresses by file name."""
     columns = {**columns, **road_columns(columns), **box_columns(columns, summary)}
     tracks = summary.get("tracks") or {}
     overlay = (summary.get("files") or {}).get("overlay")
     shown = None if events is None else shown_events(events)
-    content = run_content(summary, columns, shown or ())
+    content = {**run_content(summary, columns, shown or ()), "map": drive_map(columns, poses)}
     accuracy, mot = accuracy_grids(summary), mot_grid(tracks)
     speed, geometry = speed_grids(summary), geometry_sentences(summary)
     curve = packaged_curve() if content["has_warnings"] else None
     sections = {
         "overview": "Overview",
+        "map": "Map" if content["map"] else "",
         "tracks": "Distance over time",
         "accuracy": "Accuracy" if content["errors"] else "Coverage",
         "errors": "Errors by distance" if content["errors"] else "",

@@ -13,6 +13,7 @@ from track_range.foundation.files.output_files import OutputError, check_outputs
 from track_range.results.events.event import CLIPS_FOLDER, Event
 from track_range.results.events.files import EVENTS_FILE, EVENTS_PARQUET, write_event_files
 from track_range.results.folder import RunFolder, read_run_folder
+from track_range.results.formats.poses_file import read_poses
 from track_range.results.writers import result_names
 from track_range.views.event_clips import write_clips
 from track_range.views.report.comparison import (
@@ -103,7 +104,8 @@ def _write(path: Path, run: RunFolder) -> None:
     if real_path(path.parent) != real_path(run.folder):  # links are relative to the page
         files = {key: _relative(run.folder / str(name), path.parent) for key, name in files.items()}
     clips = run.folder / CLIPS_FOLDER
-    write_report(path, {**run.summary, "files": files}, run.columns, known_events(run), clips=clips)
+    summary = {**run.summary, "files": files}
+    write_report(path, summary, run.columns, known_events(run), clips=clips, poses=read_poses(run.folder))
 
 
 def known_events(run: RunFolder) -> tuple[Event, ...] | None:

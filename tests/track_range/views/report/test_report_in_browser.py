@@ -17,6 +17,7 @@ import pytest
 from track_range.pipeline.colours import method_colours
 from track_range.results.columns import column_names
 from track_range.results.events.event import Event
+from track_range.results.formats.poses_file import Poses
 from track_range.views.report.comparison import ComparedRun
 from track_range.views.report.page import write_comparison, write_report
 from track_range.views.video_writer import VideoWriter
@@ -362,6 +363,24 @@ def test_run_without_video_plays(page_of: Callable[..., Any], tmp_path: Path) ->
     page.wait_for_function("() => document.querySelector('#road-view > svg').dataset.time > 1.5")
     page.wait_for_function("() => document.getElementById('play').textContent === 'Play'")  # at the end
     assert shown_time(page) == pytest.approx(2.5, abs=0.01)
+
+
+def test_map_follows_the_time_and_moves_it(page_of: Callable[..., Any], tmp_path: Path) -> None:
+    step = np.arange(N_FRAMES, dtype=np.float64)
+    poses = Poses(step, STEP_S * step, 2.0 * step, 0 * step, 0 * step, np.zeros((N_FRAMES, 3)))
+    given = rows(N_FRAMES, 12)
+    given |= {"world_x_m": 30 + given["frame"], "world_y_m": 3.0 * given["track_id"], "state": given["class"]}
+    write_report(tmp_path / "report.html", summary(files={}), given, EVENTS, poses=poses)
+    page = page_of(tmp_path / "report.html")
+    page.locator("#map-chart").scroll_into_view_if_needed()
+    page.wait_for_selector("#map-chart .map-camera")
+    assert page.locator("#map-chart path[data-track]").count() == 2
+    assert page.locator("#map-chart .map-now circle").count() == 3
+    start, width = float(page.locator(".map-camera").get_attribute("cx")), page.locator(".map-ego").bounding_box()
+    page.mouse.click(width["x"] + width["width"] - 2, width["y"])
+    page.wait_for_function("() => document.querySelector('#road-view > svg').dataset.time === '2.400'")
+    assert float(page.locator(".map-camera").get_attribute("cx")) > start + 100
+    assert page.locator("#map-chart .map-now circle").count() == 2  # the shorter track has ended
 
 
 def test_small_video_beside_the_charts(page_of: Callable[..., Any], run: Path) -> None:

@@ -13,6 +13,7 @@ from typing import Any
 from foxglove import messages as fox
 from foxglove.messages import Timestamp
 
+from track_range.ranging.world.ego_path import EgoPose
 from track_range.results.formats.mcap import (
     ANNOTATIONS,
     NANOSECONDS,
@@ -25,9 +26,11 @@ from track_range.results.formats.mcap import (
 from track_range.results.formats.scene import (
     CAMERA_FRAME,
     FIGURES,
+    MAP_FRAME,
     VEHICLE_FRAME,
     VEHICLE_FROM_CAMERA_XYZW,
     TrackObject,
+    map_from_vehicle,
 )
 from track_range.stereo.geometry.camera import PinholeCamera
 
@@ -49,7 +52,7 @@ _TRACK_TYPES = {"id": "integer", "class": "string", "observed": "boolean", **dic
 _RANGES_SCHEMA = {
     "type": "object",
     "title": "track_range.Ranges",
-    "description": "Distance, closing speed and time to collision of the tracks of a frame; unknown values are absent.",
+    "description": "Distance, closing speed, time to collision, motion in the frame map; unknown values are absent.",
     "properties": {
         "frame_time_ns": {"type": "integer", "description": "time of the frame"},
         "tracks": {
@@ -77,11 +80,11 @@ class FoxgloveProfile:
         schema = _MESSAGES[topic].get_schema()
         return schema.name, schema.encoding, schema.data, "protobuf"
 
-    def frame(self, objects: Sequence[TrackObject], time_ns: int) -> Iterator[Message]:
+    def frame(self, objects: Sequence[TrackObject], time_ns: int, pose: EgoPose | None = None) -> Iterator[Message]:
         """Messages of a frame, without its image."""
         time = _timestamp(time_ns)
         yield (CALIBRATION, self._calibration(time))
-        yield (TRANSFORMS, _transforms(time))
+        yield (TRANSFORMS, _transforms(time, pose))
         yield (ANNOTATIONS, _annotations(objects, time))
         yield (SCENE, self._scene(objects, time))
         rows = [{"id": o.track_id, "class": o.class_name, "observed": o.is_observed, **o.figures} for o in objects]
@@ -132,16 +135,22 @@ def _colour(rgb: tuple[int, int, int], alpha: float) -> fox.Color:
     return fox.Color(r=red / 255, g=green / 255, b=blue / 255, a=alpha)
 
 
-def _transforms(time: Timestamp) -> bytes:
-    x, y, z, w = VEHICLE_FROM_CAMERA_XYZW
-    transform = fox.FrameTransform(
-        timestamp=time,
-        parent_frame_id=VEHICLE_FRAME,
-        child_frame_id=CAMERA_FRAME,
-        translation=fox.Vector3(),
-        rotation=fox.Quaternion(x=x, y=y, z=z, w=w),
+def _transforms(time: Timestamp, pose: EgoPose | None) -> bytes:
+    parts = (
+        (MAP_FRAME, VEHICLE_FRAME, *map_from_vehicle(pose)),
+        (VEHICLE_FRAME, CAMERA_FRAME, (0.0, 0.0, 0.0), VEHICLE_FROM_CAMERA_XYZW),
     )
-    return fox.FrameTransforms(transforms=[transform]).encode()
+    transforms = [
+        fox.FrameTransform(
+            timestamp=time,
+            parent_frame_id=parent,
+            child_frame_id=child,
+            translation=fox.Vector3(**dict(zip("xyz", at_m, strict=True))),
+            rotation=fox.Quaternion(**dict(zip("xyzw", xyzw, strict=True))),
+        )
+        for parent, child, at_m, xyzw in parts
+    ]
+    return fox.FrameTransforms(transforms=transforms).encode()
 
 
 def _annotations(objects: Sequence[TrackObject], time: Timestamp) -> bytes:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from track_range.ranging.world.ego_path import EgoPose
 from track_range.results.formats.mcap import (
     DETECTIONS_2D,
     DETECTIONS_3D,
@@ -22,7 +23,14 @@ from track_range.results.formats.mcap import (
     Message,
     calibration_matrices,
 )
-from track_range.results.formats.scene import CAMERA_FRAME, VEHICLE_FRAME, VEHICLE_FROM_CAMERA_XYZW, TrackObject
+from track_range.results.formats.scene import (
+    CAMERA_FRAME,
+    MAP_FRAME,
+    VEHICLE_FRAME,
+    VEHICLE_FROM_CAMERA_XYZW,
+    TrackObject,
+    map_from_vehicle,
+)
 from track_range.stereo.geometry.camera import PinholeCamera
 
 CALIBRATION, IMAGE, LOG = "/camera/camera_info", "/camera/image/compressed", "/rosout"
@@ -73,11 +81,16 @@ class Ros2Profile:
         text, _ = self._store.generate_msgdef(_TYPES[topic], ros_version=2)
         return _TYPES[topic], "ros2msg", text.encode(), "cdr"
 
-    def frame(self, objects: Sequence[TrackObject], time_ns: int) -> Iterator[Message]:
+    def frame(self, objects: Sequence[TrackObject], time_ns: int, pose: EgoPose | None = None) -> Iterator[Message]:
         """Messages of a frame, without its image."""
         header = self._header(time_ns)
         yield self._message(CALIBRATION, header=header, **self._calibration())
-        yield self._message(TRANSFORMS, transforms=[self._transform(time_ns)])
+        camera = (0.0, 0.0, 0.0), VEHICLE_FROM_CAMERA_XYZW
+        transforms = [
+            self._transform(time_ns, MAP_FRAME, VEHICLE_FRAME, *map_from_vehicle(pose)),
+            self._transform(time_ns, VEHICLE_FRAME, CAMERA_FRAME, *camera),
+        ]
+        yield self._message(TRANSFORMS, transforms=transforms)
         in_image = [self._detection_2d(shown, header) for shown in objects]
         yield self._message(DETECTIONS_2D, header=header, detections=in_image)
         in_space = [self._detection_3d(shown, header) for shown in objects if shown.is_ranged]
@@ -134,16 +147,21 @@ class Ros2Profile:
             "roi": self._new("sensor_msgs/msg/RegionOfInterest", **region),
         }
 
-    def _transform(self, time_ns: int) -> Any:
+    def _transform(
+        self,
+        time_ns: int,
+        parent: str,
+        child: str,
+        at_m: tuple[float, float, float],
+        xyzw: tuple[float, float, float, float],
+    ) -> Any:
         transform = self._new(
-            "geometry_msgs/msg/Transform",
-            translation=self._vector("Vector3", 0.0, 0.0, 0.0),
-            rotation=self._rotation(*VEHICLE_FROM_CAMERA_XYZW),
+            "geometry_msgs/msg/Transform", translation=self._vector("Vector3", *at_m), rotation=self._rotation(*xyzw)
         )
         return self._new(
             "geometry_msgs/msg/TransformStamped",
-            header=self._header(time_ns, VEHICLE_FRAME),
-            child_frame_id=CAMERA_FRAME,
+            header=self._header(time_ns, parent),
+            child_frame_id=child,
             transform=transform,
         )
 

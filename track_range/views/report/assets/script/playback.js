@@ -45,6 +45,7 @@ function showMoment() {
   showPresent();
   showTimeline();
   showRoad();
+  showMap();
   showKnown();
 }
 

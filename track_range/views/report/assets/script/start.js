@@ -12,6 +12,7 @@ if (content.timeline) {
   if (video) startVideo();
   startKnown();
   if (roadView) startRoad();
+  if (drive) startMap();
   const follow = () => { // links such as report.html#t=12.5
     const match = /^#t=(\d+(?:\.\d+)?)$/.exec(location.hash);
     if (match) seek(Number(match[1]));
