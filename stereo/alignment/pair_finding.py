@@ -46,6 +46,7 @@ _MIN_YAW_DEG, _CLEAR_YAW_DEG, _SMALL_YAW, _CLEAR_YAW, _MAX_REST = 0.5, 1.5, 1.05
 _MIN_ROWS_PX = 1.5  # smallest error of rows that is corrected here
 CORRECTED = "corrected, but calibrate again."
 GIVEN = "--align auto corrects it; with the given alignment, distances come from the left video alone."
+WITHOUT_STEREO = " Distances come from the left video alone."  # end of the sentence on a refused pair
 LATER = (
     "not seen before the vehicle moved, so distances come from the left video alone; start the run where it moves "
     "(--start), or calibrate again."
@@ -112,7 +113,7 @@ def find_fault(figures: PairFigures, rig: StereoRig) -> PairFinding:
 
 
 def _refused(reason: str) -> PairFinding:
-    sentence = f"The rig does not fit these images: {reason}. Distances come from the left video alone."
+    sentence = f"The rig does not fit these images: {reason}.{WITHOUT_STEREO}"
     return PairFinding("refused", sentence)
 
 
