@@ -252,7 +252,7 @@ class CollisionWarning:
         )
         known_s = _WarningState._make(self._tracks.known).known_s
         self._tracks.put(tracks.track_id, np.array(new), keep_known=time_s - known_s <= _MAX_GAP_S)
-        return Warnings(probability, active, offset.x)
+        return Warnings(probability, active, offset.x, np.sqrt(offset.P_xx))
 
     def _own_motion(
         self, measured: ConstantVelocity, last: _WarningState, time_s: float, is_known: BoolArray

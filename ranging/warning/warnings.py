@@ -25,11 +25,13 @@ class Warnings:
         active: (N,) whether an alarm is on.
         path_offset_m: (N,) lateral offset of the object's centre from the middle of the ego path, positive = right;
             NaN = unknown.
+        path_offset_sigma_m: (N,) its standard deviation; None = unknown.
     """
 
     probability: FloatArray
     active: BoolArray
     path_offset_m: FloatArray
+    path_offset_sigma_m: FloatArray | None = None
 
     @classmethod
     def unknown(cls, n: int) -> Self:
@@ -39,4 +41,5 @@ class Warnings:
 
     def select(self, rows: slice) -> Warnings:
         """The warnings in these rows."""
-        return Warnings(self.probability[rows], self.active[rows], self.path_offset_m[rows])
+        sigma_m = None if self.path_offset_sigma_m is None else self.path_offset_sigma_m[rows]
+        return Warnings(self.probability[rows], self.active[rows], self.path_offset_m[rows], sigma_m)

@@ -48,11 +48,20 @@ COMMANDS = {
     "export": Lazy(
         "track_range.cli.commands.export",
         "Write a finished run or a label file in another format.",
-        "Formats: parquet, mcap and rrd (runs only), kitti, coco, cvat, mot and yolo. An existing file is replaced "
-        "only if it has this format.",
+        "Formats: parquet, mcap, rrd and openscenario (runs only), kitti, coco, cvat, mot and yolo. An existing file "
+        "is replaced only if it has this format.",
         (
             "track-range export drive-1 --to cvat --out drive-1.xml",
             "track-range export fixed.xml --to yolo --video drive.mp4 --images --out data",
+        ),
+    ),
+    "surrogate": Lazy(
+        "track_range.cli.commands.surrogate",
+        "Print surrogate measures of safety of a run or a fleet, by class and road user.",
+        "Gap, headway, time to collision (TTC, TET, TIT), required deceleration (DRAC, MDRAC), post-encroachment time.",
+        (
+            "track-range surrogate drive-1 --csv measures.csv",
+            "track-range surrogate results --parquet measures.parquet",
         ),
     ),
     "view": Lazy(

@@ -16,6 +16,7 @@ from track_range.ranging.filtering.lateral_motion import passing_offsets
 from track_range.ranging.registry import methods
 from track_range.ranging.size_models.drive_scale import DriveScale
 from track_range.ranging.warning.collision_warning import CollisionWarning
+from track_range.ranging.warning.safety import SafetyMonitor, lane_edges_m
 from track_range.ranging.world.ego_path import EgoPath
 from track_range.ranging.world.object_motion import ObjectMotions
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -47,11 +48,13 @@ class FramePipeline:
     clock: StageClock = field(default_factory=StageClock)  # time spent in each stage
     _path: EgoPath = field(default_factory=EgoPath, init=False)
     _motions: ObjectMotions = field(default_factory=ObjectMotions, init=False)
+    _safety: SafetyMonitor = field(init=False)
     _fusion: FusionStage = field(init=False)
     _causes: dict[str, frozenset[Cause]] = field(init=False)  # what scales the distances of each method
 
     def __post_init__(self) -> None:
         self._fusion = FusionStage(self.camera, has_visible_boxes=self.has_visible_boxes)
+        self._safety = SafetyMonitor(None if self.warning is None else self.warning.settings)
         has_rig = self.scale_check is not None and self.scale_check.baseline_m is not None
         self._causes = {
             method.name: causes_of([source.name for source in method.error_sources], has_rig=has_rig)
@@ -122,13 +125,24 @@ class FramePipeline:
                 ego_sigma_mps=ego_sigma_mps,
                 pose=pose,
             )
-            warnings = None
+            warnings = safety = None
             if self.warning is not None:
                 warnings = self.warning.update(
                     tracks, motion, lateral, frame.time_s, ego_mps=ego_mps, yaw_rad_s=yaw_rad_s
                 )
                 if doubt is not None:
                     warnings = replace(warnings, active=np.zeros_like(warnings.active))
+                safety = self._safety.update(
+                    tracks.track_id,
+                    tracks.class_id,
+                    frame.time_s,
+                    distance_m=motion.ranges.distance_m,
+                    closing_mps=-motion.rate_mps,
+                    closing_sigma_mps=rate_sigma_mps,
+                    ego_mps=ego_mps,
+                    warnings=warnings,
+                    lane_edges_m=lane_edges_m(lanes, self.camera),
+                )
             centre_px = (tracks.xyxy_px[:, :2] + tracks.xyxy_px[:, 2:]) / 2
             return FrameResult(
                 frame=frame,
@@ -149,6 +163,7 @@ class FramePipeline:
                 scale_doubt=doubt,
                 motion=in_world,
                 ego_pose=pose,
+                safety=safety,
             )
 
     @property

@@ -16,6 +16,7 @@ from track_range.foundation.arrays import FloatArray, Image
 from track_range.ranging.doubt.scale_doubt import ScaleDoubt
 from track_range.ranging.filtering.lateral_motion import PassingOffsets
 from track_range.ranging.ranges import Ranges
+from track_range.ranging.warning.safety import SafetyMeasures
 from track_range.ranging.warning.warnings import Warnings
 from track_range.ranging.world.ego_path import EgoPose
 from track_range.ranging.world.object_motion import MOTION_STATES, ObjectMotion
@@ -88,6 +89,7 @@ class FrameResult:
         scale_doubt: contradiction between a given scale and the drive; None = none was found.
         motion: speed over ground, heading, world position and state of each track; None if they were not estimated.
         ego_pose: pose of the camera in the frame `map`; None if it was not estimated.
+        safety: gap, headway, required deceleration and further measures of each track; None if they were not estimated.
     """
 
     frame: Frame
@@ -108,6 +110,7 @@ class FrameResult:
     scale_doubt: ScaleDoubt | None = None
     motion: ObjectMotion | None = None
     ego_pose: EgoPose | None = None
+    safety: SafetyMeasures | None = None
 
     def __repr__(self) -> str:
         objects = self.objects

@@ -20,6 +20,7 @@ from track_range.foundation.arrays import FloatArray
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import METHODS, methods
+from track_range.ranging.warning.safety import SafetyMeasures
 from track_range.ranging.warning.warnings import Warnings
 from track_range.ranging.world.object_motion import MOTION_STATES, ObjectMotion
 
@@ -33,6 +34,19 @@ MAX_COLUMNS = 1000
 """Largest number of columns that is read; runs with all methods have fewer than 100, and pyarrow is slow with more."""
 
 MAX_CLASS = 200  # largest number of characters of a class name that is read
+
+SAFETY_UNITS: Mapping[str, str] = {
+    "gap_m": "m",
+    "ttc_front_s": "s",
+    "headway_s": "s",
+    "drac_mps2": "m/s2",
+    "mdrac_mps2": "m/s2",
+    "tet_s": "s",
+    "tit_s2": "s2",
+    "lane_index": "",
+    "lane_index_sigma": "",
+}
+"""Unit of the columns of `SafetyMeasures` that are numbers."""
 
 TEXT_COLUMNS = ("class", "state")  # columns of names, "" = unknown; all others are numbers
 
@@ -105,6 +119,8 @@ def result_columns() -> tuple[ResultColumn, ...]:
         ResultColumn("world_x_m", "m", _of_motion("world_x_m")),
         ResultColumn("world_y_m", "m", _of_motion("world_y_m")),
         ResultColumn("state", "", _of_motion("state"), "name", names=MOTION_STATES),
+        *(ResultColumn(name, unit, _of_safety(name)) for name, unit in SAFETY_UNITS.items()),
+        ResultColumn("is_lead", "", _of_safety("is_lead"), "flag"),
     )
     names = {column.name for column in columns}
     own = [column for column in _method_columns(is_built_in=True) if column.name not in names]
@@ -150,6 +166,10 @@ def _of_warnings(name: str) -> Callable[[FrameResult], Any]:
 
 def _of_motion(name: str) -> Callable[[FrameResult], Any]:
     return lambda result: getattr(result.motion or ObjectMotion.unknown(len(result.tracks)), name)
+
+
+def _of_safety(name: str) -> Callable[[FrameResult], Any]:
+    return lambda result: getattr(result.safety or SafetyMeasures.unknown(len(result.tracks)), name)
 
 
 def column_names() -> list[str]:

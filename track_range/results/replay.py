@@ -11,9 +11,10 @@ from track_range.detection.classes import map_to_road_classes
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import methods as ranging_methods
+from track_range.ranging.warning.safety import SafetyMeasures
 from track_range.ranging.warning.warnings import Warnings
 from track_range.ranging.world.object_motion import MOTION_STATES, ObjectMotion
-from track_range.results.columns import Columns, boxes_px, methods_with_sigma
+from track_range.results.columns import SAFETY_UNITS, Columns, boxes_px, methods_with_sigma
 from track_range.results.formats.poses_file import Poses
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
@@ -44,6 +45,10 @@ def frames_of_rows(
         state = np.array([codes.get(str(name), math.nan) for name in columns.get("state", unknown)], np.float64)
         numbers = {name: columns.get(name, unknown) for name in ObjectMotion.__slots__ if name != "state"}
         motion = ObjectMotion(**numbers, state=state)
+    safety = None
+    if "gap_m" in columns:
+        measures = {name: columns.get(name, unknown) for name in SAFETY_UNITS}
+        safety = SafetyMeasures(**measures, is_lead=columns.get("is_lead", unknown) > 0)
     methods = set(methods)
     measured = [name for name in methods_with_sigma() if name in methods]
     details = {
@@ -82,4 +87,5 @@ def frames_of_rows(
             warnings=None if warnings is None else warnings.select(rows),
             motion=None if motion is None else motion.select(rows),
             ego_pose=None if poses is None else poses.at(index),
+            safety=None if safety is None else safety.select(rows),
         )

@@ -32,7 +32,8 @@ CONTRACT = (
     "mono_kf_m,stereo_kf_m,fused_kf_m,ground_m,x_m,y_m,"
     "mono_kf_sigma_m,stereo_kf_sigma_m,fused_kf_sigma_m,ground_sigma_m,closing_sigma_mps,ttc_sigma_s,utc,"
     "ego_mps,contact_probability,warning,path_offset_m,stereo_surfaces,stereo_probability,"
-    "speed_mps,speed_sigma_mps,heading_deg,world_x_m,world_y_m,state"
+    "speed_mps,speed_sigma_mps,heading_deg,world_x_m,world_y_m,state,"
+    "gap_m,ttc_front_s,headway_s,drac_mps2,mdrac_mps2,tet_s,tit_s2,lane_index,lane_index_sigma,is_lead"
 ).split(",")
 
 

@@ -3,8 +3,9 @@
 Coverage of a method in a distance band = observed boxes with a distance of the method / observed boxes. The band is
 that of the filtered fused distance, which every ranged track has.
 
-A track is on a collision course if its lateral offset at the time of collision, x + T v_x, has been at most
-`COURSE_HALF_WIDTH_M` for `_STEADY_S`; v_x is the slope of its positions x over the last `_COURSE_S`.
+Times to collision are `ttc_front_s`; in rows of earlier versions `ttc_s` of tracks on a collision course, whose
+lateral offset at the time of collision, x + T v_x, has been at most `COURSE_HALF_WIDTH_M` for `_STEADY_S`; v_x is the
+slope of the positions x over the last `_COURSE_S`.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ _REFERENCES = ("fused_kf", "fused")  # distances that give the band and the clos
 _MAX_NUMBER = 1e12  # limit of track numbers, and of times in s
 
 _NEEDED = ("time_s", "track_id", "class")
-_OTHERS = ("observed", "ttc_s", "ttc_sigma_s", "closing_mps", "x_m", "utc")
+_OTHERS = ("observed", "gap_m", "ttc_front_s", "ttc_s", "ttc_sigma_s", "closing_mps", "x_m", "utc")
 
 Figures = dict[str, Any]  # figures by name, as in the JSON file; None = unknown
 
@@ -116,6 +117,9 @@ class _Rows:
         order = np.lexsort(keys)
         self._columns: dict[str, FloatArray] = {name: values[order] for name, values in numbers.items()}
         self._unknown = np.full(len(order), np.nan)
+        self._has_front = bool(np.isfinite(self._column("gap_m")).any())
+        if self._has_front:  # the time to collision of events and reports; rows of earlier versions lack it
+            self._columns["ttc_s"] = self._column("ttc_front_s")
         self._methods = _methods(table.column_names)
         is_first = np.diff(self._columns["track_id"], prepend=np.nan) != 0
         self.starts: IntArray = np.flatnonzero(is_first)  # (T,) first row of each track
@@ -162,6 +166,8 @@ class _Rows:
     def ttc_on_course_s(self) -> FloatArray:
         """Time to collision of the rows that are on a collision course and whose sigma is small enough, else NaN."""
         ttc_s, sigma_s, x_m = (self._column(name) for name in ("ttc_s", "ttc_sigma_s", "x_m"))
+        if self._has_front:
+            return ttc_s
         with np.errstate(invalid="ignore"):
             offset_m = x_m + ttc_s * self._lateral_mps(x_m)
             is_on_course = np.abs(offset_m) <= COURSE_HALF_WIDTH_M

@@ -35,13 +35,24 @@ class Event:
     class_name: str  # road class of the object
     min_distance_m: float  # smallest distance of the object
     min_distance_sigma_m: float  # standard deviation of that distance
-    min_ttc_s: float  # smallest time to collision
+    min_ttc_s: float  # smallest time to collision of the front, `SafetyMeasures.ttc_front_s`
     closing_mps: float  # largest closing speed
     ego_mps: float  # speed of the ego vehicle at the peak
     probability: float  # largest probability of contact, 0..1
     reason: str  # what happened in one sentence
-    headway_s: float  # smallest headway, distance / ego speed
+    headway_s: float  # smallest headway, gap / ego speed
     scale_in_doubt: int = 0  # 1 = what the distances follow from contradicted the drive at the peak; 0 = not
+    gap_m: float = math.nan  # smallest gap to the front of the ego vehicle
+    drac_mps2: float = math.nan  # largest required deceleration
+    mdrac_mps2: float = math.nan  # the same after the reaction time
+    tet_s: float = math.nan  # time exposed below `TTC_LIMIT_S`
+    tit_s2: float = math.nan  # integral below it
+    pet_s: float = math.nan  # post-encroachment time of paths that cross
+    peak_distance_m: float = math.nan  # the state in the most critical frame
+    peak_closing_mps: float = math.nan
+    peak_ttc_s: float = math.nan
+    peak_headway_s: float = math.nan
+    peak_probability: float = math.nan
 
 
 EVENT_COLUMNS = (
@@ -49,6 +60,8 @@ EVENT_COLUMNS = (
     *("min_distance_m", "min_distance_sigma_m", "min_ttc_s", "closing_mps", "ego_mps", "probability", "reason"),
     "headway_s",
     "scale_in_doubt",
+    *("gap_m", "drac_mps2", "mdrac_mps2", "tet_s", "tit_s2", "pet_s"),
+    *("peak_distance_m", "peak_closing_mps", "peak_ttc_s", "peak_headway_s", "peak_probability"),
 )
 """Columns of events.csv, in order; `class` is `Event.class_name`, the others have the names of its attributes."""
 
@@ -57,7 +70,6 @@ EVENT_COLUMNS = (
 class EventSettings:
     """Thresholds of the events; definitions, not fitted."""
 
-    front_m: float = 1.5  # distance from the camera to the front of the ego vehicle
     max_gap_s: float = 1.0  # longest interruption of an event; tracks of one object with a shorter gap are merged
     close_headway_s: float = 1.0  # headway below which following is close
     min_following_s: float = 1.0  # shortest duration of close following

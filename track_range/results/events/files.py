@@ -70,6 +70,13 @@ _NUMBERS: Mapping[str, _Number] = {  # all other columns are texts
     "probability": _Number("", 0.0, 1.0, decimals=4),
     "headway_s": _TIME,
     "scale_in_doubt": _Number("", 0, 1, is_integer=True),
+    "gap_m": _DISTANCE,
+    **dict.fromkeys(("drac_mps2", "mdrac_mps2"), _Number("m/s2", 0.0, 1e6)),
+    **dict.fromkeys(("tet_s", "pet_s", "peak_ttc_s", "peak_headway_s"), _TIME),
+    "tit_s2": _Number("s2", 0.0, _MAX_TIME_S),
+    "peak_distance_m": _DISTANCE,
+    "peak_closing_mps": _SPEED,
+    "peak_probability": _Number("", 0.0, 1.0, decimals=4),
 }
 
 
@@ -186,7 +193,7 @@ def read_events(path: str | Path, *, needed: Sequence[str] = NEEDED_COLUMNS) -> 
     if path.suffix.lower() == ".parquet":
         check_regular(path, EventFileError, "the events.parquet of a run", max_bytes=MAX_TABLE_BYTES)
         return events_in_parquet(path, path, needed=needed)
-    expected = f"events with the columns {','.join(EVENT_COLUMNS)}"
+    expected = f"events with the columns {','.join(NEEDED_COLUMNS)}"
     if not first_line(path, EventFileError, expected):
         raise EventFileError(f"{path}: expected {expected}, found an empty file.")
     table = read_csv_table(path, EventFileError, "events")

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,6 +18,13 @@ from track_range.detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP
 from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.foundation.track_state import TrackState
 from track_range.pipeline.frame_result import FrameResult
+from track_range.ranging.warning.safety import (
+    HALF_WIDTH_M,
+    TTC_LIMIT_S,
+    SafetyMonitor,
+    apart_m,
+    post_encroachment_s,
+)
 from track_range.ranging.warning.warnings import Warnings
 from track_range.results.events.event import WARNING_KINDS, Event, EventKind, EventSettings
 
@@ -25,12 +32,12 @@ _NEAR_M, _NEAR_FRACTION = 2.0, 0.15
 """Largest difference in distance between two tracks of one object: metres, plus a fraction of the distance."""
 
 _NEAR_ACROSS_M = 1.5  # largest lateral difference between two tracks of one object, m
-_SITUATION = ("distance_m", "sigma_m", "gap_m", "closing_mps", "ttc_s", "headway_s", "probability")
-
-_HALF_WIDTH_M = np.array([0.3, 0.3, 0.9, 0.4, 1.25, 1.25, 0.0, 0.0])
-"""(road classes,) half of the typical width of each class, m."""
-
-_EGO_HALF_WIDTH_M = 0.9
+_SITUATION = (
+    *("distance_m", "sigma_m", "gap_m", "closing_mps", "ttc_s", "headway_s", "probability", "apart_m"),
+    *("drac_mps2", "mdrac_mps2"),
+)
+_SMALLEST, _LARGEST = ("ttc_s", "headway_s", "gap_m"), ("closing_mps", "probability", "drac_mps2", "mdrac_mps2")
+_PATH_S = 30.0  # time for which positions of tracks are kept, s
 _MARGIN_M = 0.3  # distance from the edge of the ego path at which an object is clearly in it or beside it, m
 _PERSON = ROAD_CLASSES.index("person")
 _IS_VEHICLE = np.array([name in ("bicycle", "car", "motorcycle", "bus", "truck") for name in ROAD_CLASSES])
@@ -42,22 +49,27 @@ _MAX_SPEED_MPS = 70.0  # of a road user; above, the track is wrong
 _MAX_BRAKING_MPS2 = 15.0  # of a hard approach, more than tyres allow; above, it was a contact, or wrong
 
 
+Place = tuple[float, float, float]  # time in s, x and y in m in the frame `map`
+
+
 @dataclass(frozen=True, slots=True)
 class Situation:
     """Values of the N tracks of a frame from which events are found, (N,) each; NaN = unknown."""
 
     distance_m: FloatArray  # filtered, else measured
     sigma_m: FloatArray
-    gap_m: FloatArray  # from the front of the ego vehicle
+    gap_m: FloatArray  # `SafetyMeasures`, and of the rest that are on the path
+    headway_s: FloatArray
+    drac_mps2: FloatArray
+    mdrac_mps2: FloatArray
+    ttc_s: FloatArray  # `ttc_front_s`
     closing_mps: FloatArray
-    ttc_s: FloatArray  # gap / closing speed
-    headway_s: FloatArray  # gap / ego speed
     offset_m: FloatArray  # lateral, from the ego path
     apart_m: FloatArray  # between the edges of object and ego path, negative = the object is in the path
     probability: FloatArray  # of contact
 
     @classmethod
-    def of(cls, result: FrameResult, settings: EventSettings) -> Situation:
+    def of(cls, result: FrameResult) -> Situation:
         """The situation in a frame."""
         unknown = np.full(len(result.tracks), np.nan)
         distance_m = sigma_m = unknown
@@ -67,14 +79,31 @@ class Situation:
             is_known = np.isfinite(first.distance_m)
             distance_m = np.where(is_known, first.distance_m, last.distance_m)
             sigma_m = np.where(is_known, first.sigma_m, last.sigma_m)
-        gap_m = np.maximum(distance_m - settings.front_m, 0.0)
-        closing_mps = result.closing_mps
-        ttc_s = gap_m / np.where(closing_mps > 0.5, closing_mps, np.nan)
-        headway_s = gap_m / result.ego_mps if result.ego_mps >= settings.min_ego_mps else unknown
         warnings = result.warnings or Warnings.unknown(len(result.tracks))
-        offset_m, probability = warnings.path_offset_m, warnings.probability
-        apart_m = np.abs(offset_m) - (_EGO_HALF_WIDTH_M + _HALF_WIDTH_M[result.tracks.class_id])
-        return cls(distance_m, sigma_m, gap_m, closing_mps, ttc_s, headway_s, offset_m, apart_m, probability)
+        offset_m, class_id = warnings.path_offset_m, result.tracks.class_id
+        safety = result.safety or SafetyMonitor().update(  # rows of earlier versions
+            result.tracks.track_id,
+            class_id,
+            result.time_s,
+            distance_m=distance_m,
+            closing_mps=result.closing_mps,
+            closing_sigma_mps=result.closing_sigma_mps,
+            ego_mps=result.ego_mps,
+            warnings=warnings,
+        )
+        return cls(
+            distance_m,
+            sigma_m,
+            safety.gap_m,
+            safety.headway_s,
+            safety.drac_mps2,
+            safety.mdrac_mps2,
+            safety.ttc_front_s,
+            result.closing_mps,
+            offset_m,
+            apart_m(offset_m, class_id),
+            warnings.probability,
+        )
 
 
 class Conditions:
@@ -104,23 +133,23 @@ class Conditions:
         active = np.zeros(len(classes), np.bool_) if result.warnings is None else result.warnings.active
         has_cut_in = came & (time_s - entered_s <= settings.cut_in_s)
         cuts_in = active & (came & (apart_m > -_MARGIN_M) | has_cut_in)
-        is_close = is_along & is_in_path & (now.headway_s < settings.close_headway_s)
-        needed_mps2 = now.closing_mps**2 / (2 * np.maximum(now.gap_m, 0.1))
+        is_fast = ego_mps >= settings.min_ego_mps
+        is_close = is_along & is_in_path & is_fast & (now.headway_s < settings.close_headway_s)
         own_mps = np.nan_to_num(ego_mps) - now.closing_mps
         is_critical = (now.probability >= settings.near_miss_probability) & (np.abs(own_mps) < _MAX_SPEED_MPS)
         is_oncoming = own_mps < (-_MIN_ALONG_MPS if math.isfinite(ego_mps) else -math.inf)
         return {
             "forward_collision": active & (classes != _PERSON) & ~cuts_in,
             "pedestrian_on_path": active & (classes == _PERSON),
-            "cut_in": cuts_in | (has_cut_in & is_in_path & (now.headway_s < settings.cut_in_headway_s)),
+            "cut_in": cuts_in | (has_cut_in & is_in_path & is_fast & (now.headway_s < settings.cut_in_headway_s)),
             "close_following": is_close,
             "hard_approach": is_vehicle
             & is_in_path
             & is_critical
             & ~is_oncoming
             & (now.closing_mps > _MIN_CLOSING_MPS)
-            & (needed_mps2 > settings.hard_approach_mps2)
-            & (needed_mps2 < _MAX_BRAKING_MPS2),
+            & (now.drac_mps2 > settings.hard_approach_mps2)
+            & (now.drac_mps2 < _MAX_BRAKING_MPS2),
             "near_miss": is_critical & (now.ttc_s < settings.near_miss_ttc_s) & (is_vehicle | (classes == _PERSON)),
         }
 
@@ -141,6 +170,10 @@ class _Open:
     first: dict[str, float] = field(default_factory=dict)  # values of the first frame
     peak: dict[str, float] = field(default_factory=dict)  # values of the most critical frame
     last_seen: dict[str, float] = field(default_factory=dict)  # where the object of a near miss was last seen
+    tet_s: float = 0.0
+    tit_s2: float = 0.0
+    exposed_s: float = math.nan  # time of the last frame of TET and TIT
+    paths: list[list[Place]] = field(default_factory=list)  # of its tracks
     peak_track_id: int = 0
     peak_class: int = 0
 
@@ -154,11 +187,15 @@ class EventFinder:
         self._open: list[_Open] = []
         self._ended: list[Event] = []
         self._alarms: list[_Open] = []  # alarms that have ended
+        self._ego: list[Place] = []
+        self._paths: dict[int, list[Place]] = {}  # of the tracks
+        self._paths_of: dict[int, list[list[Place]]] = {}  # of the tracks of events that have ended, by `id`
 
     def update(self, result: FrameResult) -> tuple[Event, ...]:
         """Events that ended before this frame and have not been returned yet, in the order of their ends."""
         ended = self._close(result.time_s)
-        now = Situation.of(result, self.settings)
+        now = Situation.of(result)
+        self._follow_paths(result)
         for kind, holds in self._conditions.update(result, now).items():
             for row in np.flatnonzero(holds).tolist():
                 self._extend(kind, result, now, row)
@@ -170,17 +207,41 @@ class EventFinder:
     def finish(self) -> tuple[Event, ...]:
         """All events of the drive in the order of their starts, those in progress included; ends the drive."""
         self._close(math.inf)
-        return tuple(sorted(self._ended, key=lambda event: event.start_s))
+        return tuple(sorted(map(self._with_pet, self._ended), key=lambda event: event.start_s))
 
     def so_far(self) -> tuple[Event, ...]:
         """Events that have ended and those in progress that count, in the order of their starts."""
         in_progress = (_event(event) for event in self._open if self._counts(event))
-        return tuple(sorted((*self._ended, *in_progress), key=lambda event: event.start_s))
+        return tuple(sorted((*map(self._with_pet, self._ended), *in_progress), key=lambda event: event.start_s))
 
     def forget(self, before_s: float) -> None:
         """Drop the events that ended before a time, so that memory is bounded."""
         self._ended = [event for event in self._ended if event.end_s >= before_s]
         self._alarms = [alarm for alarm in self._alarms if alarm.last_s >= before_s]
+        self._ego = [place for place in self._ego if place[0] >= before_s - _PATH_S]
+        self._paths_of = {id(event): self._paths_of[id(event)] for event in self._ended}
+
+    def _follow_paths(self, result: FrameResult) -> None:
+        """Store the positions of the camera and of the tracks in the frame `map`."""
+        pose, motion, time_s = result.ego_pose, result.motion, result.time_s
+        if pose is None or motion is None or math.isnan(pose.x_m):
+            return
+        self._ego.append((time_s, pose.x_m, pose.y_m))
+        self._paths = {i: path for i, path in self._paths.items() if time_s - path[-1][0] <= _PATH_S}
+        columns = (result.tracks.track_id, motion.world_x_m, motion.world_y_m)
+        for track_id, x_m, y_m in zip(*(column.tolist() for column in columns), strict=True):
+            if math.isfinite(x_m):
+                self._paths.setdefault(track_id, []).append((time_s, x_m, y_m))
+
+    def _with_pet(self, event: Event) -> Event:
+        """The event with the smallest PET of its tracks, from what is known of the paths by now."""
+        half_width_m = float(HALF_WIDTH_M[ROAD_CLASSES.index(event.class_name)])
+        ego = np.array(self._ego).reshape(-1, 3)
+        near = ego[(ego[:, 0] >= event.start_s - _PATH_S) & (ego[:, 0] <= event.end_s + _PATH_S)]
+        paths = (np.array(path) for path in self._paths_of[id(event)])
+        times_s = [post_encroachment_s(near, path, half_width_m=half_width_m) for path in paths]
+        pet_s = float(np.fmin.reduce(times_s, initial=math.nan))
+        return event if math.isnan(pet_s) else replace(event, pet_s=pet_s)
 
     def _close(self, time_s: float) -> tuple[Event, ...]:
         """End the events that have been interrupted for too long."""
@@ -189,8 +250,10 @@ class EventFinder:
             return ()
         self._open = [event for event in self._open if time_s - event.last_s <= self.settings.max_gap_s]
         self._alarms += [event for event in over if math.isfinite(event.warning_s)]
-        events = tuple(_event(event) for event in over if self._counts(event))
+        counted = [(_event(event), event.paths) for event in over if self._counts(event)]
+        events = tuple(event for event, _ in counted)
         self._ended += events
+        self._paths_of |= {id(event): paths for event, paths in counted}
         return events
 
     def _counts(self, event: _Open) -> bool:
@@ -230,16 +293,23 @@ class EventFinder:
             event = _Open(kind, group, start_s=time_s, first=values)
             self._open.append(event)
         event.last_s, event.track_id, event.distance_m, event.offset_m = time_s, track_id, distance_m, offset_m
-        event.track_ids.add(track_id)
+        if track_id not in event.track_ids:
+            event.track_ids.add(track_id)
+            event.paths += [self._paths[track_id]] if track_id in self._paths else []
+        if values["ttc_s"] < TTC_LIMIT_S:
+            dt = min(time_s - event.exposed_s, self.settings.max_gap_s) if math.isfinite(event.exposed_s) else 0.0
+            event.tet_s += dt
+            event.tit_s2 += dt * (TTC_LIMIT_S - values["ttc_s"])
+        event.exposed_s = time_s
         is_active = result.warnings is not None and bool(result.warnings.active[row])
         if is_active and kind in WARNING_KINDS and math.isnan(event.warning_s):
             event.warning_s = time_s
         extremes = event.extremes
         if not distance_m >= extremes.get("distance_m", math.inf):
             extremes["distance_m"], extremes["sigma_m"] = distance_m, values["sigma_m"]
-        for name in ("ttc_s", "headway_s"):
+        for name in _SMALLEST:
             extremes[name] = float(np.fmin(extremes.get(name, math.nan), values[name]))
-        for name in ("closing_mps", "probability"):
+        for name in _LARGEST:
             extremes[name] = float(np.fmax(extremes.get(name, math.nan), values[name]))
         if kind in ("close_following", "cut_in") and math.isfinite(values["headway_s"]):
             criticality = -values["headway_s"]
@@ -279,7 +349,7 @@ def _follow(event: _Open, result: FrameResult, now: Situation) -> None:
 
 
 def _event(event: _Open) -> Event:
-    extremes = event.extremes
+    extremes, peak = event.extremes, event.peak
     return Event(
         kind=event.kind,
         start_s=event.start_s,
@@ -298,14 +368,20 @@ def _event(event: _Open) -> Event:
         reason=_reason(event),
         headway_s=extremes["headway_s"],
         scale_in_doubt=int(event.peak["scale_in_doubt"]),
+        **{name: extremes[name] for name in ("gap_m", "drac_mps2", "mdrac_mps2")},
+        tet_s=event.tet_s,
+        tit_s2=event.tit_s2,
+        **{f"peak_{name}": peak[name] for name in ("distance_m", "closing_mps", "ttc_s", "headway_s", "probability")},
     )
 
 
 def _reason(event: _Open) -> str:
-    class_name, first, peak, extremes = ROAD_CLASSES[event.peak_class], event.first, event.peak, event.extremes
+    class_name, first, peak = ROAD_CLASSES[event.peak_class], event.first, event.peak
     name = class_name[:1].upper() + class_name[1:]
     if event.kind in ("forward_collision", "pedestrian_on_path"):
-        where = "on the path" if event.kind == "pedestrian_on_path" else "ahead"
+        where = (
+            "ahead" if event.kind == "forward_collision" else "on the path" if first["apart_m"] < 0 else "near the path"
+        )
         when = f": contact in {first['ttc_s']:.1f} s without braking" if math.isfinite(first["ttc_s"]) else ""
         return f"{name} {where} at {first['distance_m']:.0f} m{_closing(first)}{when}."
     if event.kind == "cut_in":
@@ -313,13 +389,13 @@ def _reason(event: _Open) -> str:
         return f"{name} cut in {peak['distance_m']:.0f} m ahead{headway}{_closing(peak)}."
     if event.kind == "close_following":
         return (
-            f"Headway down to {extremes['headway_s']:.1f} s behind a {class_name} at {3.6 * peak['ego_mps']:.0f} km/h "
-            f"for {event.last_s - event.start_s:.0f} s."
+            f"Headway down to {peak['headway_s']:.1f} s behind a {class_name} at {3.6 * peak['ego_mps']:.0f} km/h for "
+            f"{event.last_s - event.start_s:.0f} s."
         )
     if event.kind == "hard_approach":
-        needed_mps2 = peak["closing_mps"] ** 2 / (2 * max(peak["gap_m"], 0.1))
-        return f"{name} ahead at {peak['distance_m']:.0f} m{_closing(peak)}: needed braking at {needed_mps2:.1f} m/s²."
-    return f"{name} at {peak['distance_m']:.0f} m: contact was {extremes['ttc_s']:.1f} s away and did not happen."
+        needed = f"needed braking at {peak['drac_mps2']:.1f} m/s²"
+        return f"{name} ahead at {peak['distance_m']:.0f} m{_closing(peak)}: {needed}."
+    return f"{name} at {peak['distance_m']:.0f} m: contact was {peak['ttc_s']:.1f} s away and did not happen."
 
 
 def _closing(values: dict[str, float]) -> str:

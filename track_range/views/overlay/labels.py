@@ -103,13 +103,12 @@ def label_lines(result: FrameResult, row: int, *, class_names: Sequence[str], si
     ]
     if figures:
         lines.append([Span("  ".join(figures), small_px, REGULAR, GREY)])
-    closing = closing_span(
-        float(result.closing_mps[row]),
-        float(result.ttc_s[row]),
-        small_px,
-        alarm=warning_colour(result, row),
-        may_hit=result.may_hit(row),
-    )
+    ttc_s, may_hit = float(result.ttc_s[row]), result.may_hit(row)
+    if result.safety is not None:  # a time to collision is that of the front; others pass, or have a speed alone
+        front_s = float(result.safety.ttc_front_s[row])
+        ttc_s, may_hit = (front_s, True) if may_hit or math.isfinite(front_s) else (ttc_s, False)
+    alarm = warning_colour(result, row)
+    closing = closing_span(float(result.closing_mps[row]), ttc_s, small_px, alarm=alarm, may_hit=may_hit)
     return [*lines, [closing]] if closing else lines
 
 

@@ -21,14 +21,12 @@ from track_range.results.events.event import Event
 from track_range.stereo.alignment.model import MAX_ROW_OFFSET_PX
 from track_range.views.report import tables
 from track_range.views.report.content.events import kind_counts, object_words, sigma_words, time_words
-from track_range.views.report.content.road import is_on_course
+from track_range.views.report.content.road import STATIC_CLASSES, collision_columns
 from track_range.views.report.content.series import column
 from track_range.views.report.tables import Summary
 
 _FAR_M = 50.0  # distance in metres at which the effect of the remaining disparity error is given
-STATIC_CLASSES = ("traffic light", "traffic sign")  # classes that are not road users
 _MIN_PROBABILITY = 0.25  # smallest probability of contact of a headline, as of the amber marks in the overlay
-_MIN_SIGNIFICANCE = 2.0  # smallest closing speed in its standard deviations of a time to collision that is a headline
 
 
 def run_name(summary: Summary) -> str:
@@ -99,17 +97,16 @@ def _nearest_headline(columns: Columns, is_user: BoolArray) -> dict[str, Any]:
     row = int(rows[np.argmin(distance_m[rows])])
     sigma_m = column(columns, "fused_sigma_m")[row]
     uncertainty = f" (± {sigma_words(sigma_m)} m)" if np.isfinite(sigma_m) else ""
-    return _row_headline(columns, row, f"{distance_m[row]:.1f} m", f"smallest distance{uncertainty}")
+    return _row_headline(columns, row, f"{distance_m[row]:.1f} m", f"smallest distance from the camera{uncertainty}")
 
 
 def _collision_headline(columns: Columns, is_user: BoolArray) -> dict[str, Any]:
     """Shortest time to collision; without one, the largest probability of contact."""
-    ttc_s, speed_mps = column(columns, "ttc_s"), column(columns, "closing_mps")
-    is_slow = speed_mps < _MIN_SIGNIFICANCE * column(columns, "closing_sigma_mps")  # False where sigma is unknown
-    rows = np.flatnonzero(is_user & np.isfinite(ttc_s) & is_on_course(columns) & ~is_slow)
+    ttc_s = collision_columns(columns)["collision_s"]
+    rows = np.flatnonzero(is_user & np.isfinite(ttc_s))
     if len(rows):
         row = int(rows[np.argmin(ttc_s[rows])])
-        return _row_headline(columns, row, f"{ttc_s[row]:.1f} s", "shortest time to collision")
+        return _row_headline(columns, row, f"{ttc_s[row]:.1f} s", "shortest time to a collision of the front")
     probability = np.where(is_user, column(columns, "contact_probability"), np.nan)
     row = int(np.nanargmax(probability)) if np.isfinite(probability).any() else -1
     if row < 0 or probability[row] < _MIN_PROBABILITY:

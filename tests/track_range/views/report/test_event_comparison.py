@@ -167,7 +167,11 @@ def test_headlines_of_events() -> None:
     columns["ttc_s"][7] = 2.5
     first, nearest, collision = headlines(columns, [event(), event(kind="forward_collision", warning_s=1.5)])
     assert (first["figure"], first["time_s"]) == ("1 warning", 1.5)
-    assert nearest == {"figure": "16.1 m", "words": "smallest distance (± 0.5 m): car 1 at 3.9 s", "time_s": 3.9}
+    assert nearest == {
+        "figure": "16.1 m",
+        "words": "smallest distance from the camera (± 0.5 m): car 1 at 3.9 s",
+        "time_s": 3.9,
+    }
     assert (collision["figure"], collision["time_s"]) == ("2.5 s", 0.7)
     assert headlines(columns, [event()])[0]["figure"] == "1 event"
     assert headlines(columns, [])[0]["figure"] == "No event"

@@ -42,7 +42,23 @@ def event_details(event: Event) -> str:
 
 
 def measurements(event: Event) -> list[str]:
-    """Measurements of an event in words; unknown ones are omitted."""
+    """Measurements of an event in words: the state at its peak, then extremes; unknown ones are omitted.
+
+    Events of earlier versions have only extremes.
+    """
+    if math.isfinite(event.peak_distance_m):
+        state = (
+            (event.peak_distance_m, f"at {time_words(event.peak_s)}: {event.peak_distance_m:.1f} m from the camera"),
+            (event.peak_ttc_s, f"collision in {event.peak_ttc_s:.1f} s"),
+            (event.peak_closing_mps, f"closing {event.peak_closing_mps:.1f} m/s"),
+            (event.peak_headway_s, f"headway {event.peak_headway_s:.1f} s"),
+            (event.ego_mps, f"ego {3.6 * event.ego_mps:.0f} km/h"),
+            (event.peak_probability, f"contact {100 * event.peak_probability:.0f} %"),
+            (event.gap_m, f"smallest gap to the front {event.gap_m:.1f} m"),
+            (event.drac_mps2, f"required deceleration up to {event.drac_mps2:.1f} m/s²"),
+            (event.pet_s, f"post-encroachment time {event.pet_s:.1f} s"),
+        )
+        return [text for value, text in state if math.isfinite(value)]
     sigma_m = event.min_distance_sigma_m
     sigma = f" ± {sigma_words(sigma_m)}" if math.isfinite(sigma_m) else ""
     texts = (

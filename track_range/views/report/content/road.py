@@ -36,6 +36,8 @@ FILTERED_WINDOW_S = 0.5
 
 _LIKELY = 0.5  # smallest probability of contact of an object that is more likely to hit than to pass
 _MIN_POSITIONS = 4  # of a course
+_MIN_SIGNIFICANCE = 2.0  # smallest closing speed of a time to collision, in its standard deviations
+STATIC_CLASSES = ("traffic light", "traffic sign")  # classes that are not road users
 
 _LATERAL_ACCELERATION_MPS2 = 0.25
 """Standard deviation a of the lateral acceleration in m/s^2, as in `ranging`'s collision course."""
@@ -140,6 +142,19 @@ def is_on_course(columns: Columns) -> BoolArray:
     reach_m = EGO_HALF_WIDTH_M + column(columns, "box_width") / 2
     hits: BoolArray = np.abs(column(columns, "passing")) <= reach_m
     return hits
+
+
+def collision_columns(columns: Columns) -> dict[str, FloatArray]:
+    """`collision_s` (N,): time to collision of the front with road users on the path; NaN = none.
+
+    It is `ttc_front_s`; of rows of earlier versions `ttc_s` of those on a collision course. All shortest times of the
+    report are of this column.
+    """
+    if np.isfinite(column(columns, "gap_m")).any():
+        return {"collision_s": column(columns, "ttc_front_s")}
+    is_slow = column(columns, "closing_mps") < _MIN_SIGNIFICANCE * column(columns, "closing_sigma_mps")
+    is_shown = is_on_course(columns) & ~is_slow & ~np.isin(columns["class"], STATIC_CLASSES)
+    return {"collision_s": np.where(is_shown, column(columns, "ttc_s"), np.nan)}
 
 
 def _courses(

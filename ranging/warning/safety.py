@@ -1,0 +1,215 @@
+"""SafetyMeasures: surrogate measures of safety of tracks, with one definition each (docs/warnings.md has the sources).
+
+    gap          g = d - f                     from the front of the ego vehicle, f ahead of the camera
+    headway      g / V                         V: ego speed (the "time gap" of SAE J2944)
+    TTC          g / c                         c: closing speed; time to collision of the front
+    DRAC         c^2 / 2 g                     required deceleration of the ego vehicle
+    MDRAC        c^2 / 2 (g - c T_r)           the same after the reaction time T_r
+    TET, TIT     int [TTC < T*] dt, int (T* - TTC) dt over TTC < T*
+    PET          time between the first one leaving and the second one reaching the place at which two paths cross
+
+Headway and decelerations are those of road users on the ego path, whose width overlaps that of the ego vehicle there;
+TTC also of those that will be there, with a probability of contact of at least one half.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from scipy.special import ndtr
+
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.lanes.lines import LaneLines
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.track_state import TrackState
+from track_range.ranging.filtering.distance_filter import MIN_CLOSING_MPS
+from track_range.ranging.warning.settings import WarningSettings
+from track_range.ranging.warning.warnings import Warnings
+from track_range.stereo.geometry.camera import PinholeCamera
+
+TTC_LIMIT_S = 3.0  # T*, and T_r is `WarningSettings.reaction_s`: the defaults of SUMO's SSM device
+_MIN_SIGNIFICANCE = 2.0  # smallest closing speed of a TTC in its standard deviations
+_LIKELY = 0.5  # smallest probability of contact of a road user that will be on the path
+_MIN_GAP_M = 0.1  # smallest gap of a deceleration
+_MIN_EGO_MPS = 0.5  # smallest ego speed of a headway
+_MIN_OWN_MPS = -2.0  # smallest speed along the road of a lead: it does not come towards the ego vehicle
+_LANE_M, _LANE_SIGMA_M = 3.5, 0.3  # width of a lane; standard deviation of the ego path from the middle of its lane
+_MAX_GAP_S = 1.0  # longest interruption of a track that counts for TET and TIT
+
+HALF_WIDTH_M = np.array([0.3, 0.3, 0.9, 0.4, 1.25, 1.25, 0.0, 0.0])
+"""(road classes,) half of the typical width of each class, m."""
+
+_IS_ROAD_USER = HALF_WIDTH_M > 0
+_IS_VEHICLE = _IS_ROAD_USER & (np.array(ROAD_CLASSES) != "person")
+
+
+def apart_m(path_offset_m: FloatArray, class_id: IntArray) -> FloatArray:
+    """(N,) distance between the edges of objects and of the ego path, negative = on the path, NaN = unknown."""
+    return np.asarray(np.abs(path_offset_m) - WarningSettings().ego_width_m / 2 - HALF_WIDTH_M[class_id])
+
+
+@dataclass(frozen=True, slots=True)
+class SafetyMeasures:
+    """Measures of N tracks of one frame, (N,) each; NaN = unknown, or not on the path.
+
+    Attributes:
+        gap_m: distance from the front of the ego vehicle, at least 0, of all tracks.
+        ttc_front_s: TTC of those that close in with more than two sigmas.
+        headway_s: gap over ego speed.
+        drac_mps2: deceleration that avoids a contact.
+        mdrac_mps2: the same after the reaction time.
+        tet_s: time with a TTC below `TTC_LIMIT_S`, of the track so far.
+        tit_s2: integral of what the TTC was below it.
+        lane_index: -1 = lane to the left, 0 = ego lane, 1 = to the right; of all tracks, NaN = beyond these.
+        lane_index_sigma: its standard deviation.
+        is_lead: whether it is the next vehicle ahead on the path.
+    """
+
+    gap_m: FloatArray
+    ttc_front_s: FloatArray
+    headway_s: FloatArray
+    drac_mps2: FloatArray
+    mdrac_mps2: FloatArray
+    tet_s: FloatArray
+    tit_s2: FloatArray
+    lane_index: FloatArray
+    lane_index_sigma: FloatArray
+    is_lead: BoolArray
+
+    @classmethod
+    def unknown(cls, n: int) -> SafetyMeasures:
+        """Measures of n tracks of which nothing is known."""
+        nan = np.full(n, np.nan)
+        return cls(nan, nan, nan, nan, nan, nan, nan, nan, nan, np.zeros(n, np.bool_))
+
+    def select(self, rows: slice) -> SafetyMeasures:
+        """The tracks in these rows."""
+        return SafetyMeasures(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+
+class SafetyMonitor:
+    """Measures of all tracks of a video, frame by frame; TET and TIT have a memory."""
+
+    def __init__(self, settings: WarningSettings | None = None) -> None:
+        """Start without tracks; None = default settings."""
+        self._settings = settings or WarningSettings()
+        self._tracks = TrackState(np.array([0.0, 0.0, np.nan]))  # TET, TIT, time
+
+    def update(
+        self,
+        track_id: IntArray,
+        class_id: IntArray,
+        time_s: float,
+        *,
+        distance_m: FloatArray,
+        closing_mps: FloatArray,
+        closing_sigma_mps: FloatArray,
+        ego_mps: float,
+        warnings: Warnings,
+        lane_edges_m: tuple[float, float] | None = None,
+    ) -> SafetyMeasures:
+        """Measures of N tracks (N,) at `time_s`.
+
+        `distance_m` is filtered, `ego_mps` NaN = unknown. `lane_edges_m` are the left and the right line of the ego
+        lane relative to the ego path, positive = right; None = not seen, the ego path is then the middle of its lane.
+        """
+        settings, offset_m = self._settings, warnings.path_offset_m
+        is_user = _IS_ROAD_USER[class_id]
+        is_on_path = (apart_m(offset_m, class_id) < 0) & is_user
+        is_on_course = (is_on_path | (warnings.probability >= _LIKELY)) & is_user
+        is_on_course &= closing_mps > MIN_CLOSING_MPS
+        is_on_course &= ~(closing_mps < _MIN_SIGNIFICANCE * closing_sigma_mps)  # True where sigma is unknown
+        gap_m = np.maximum(distance_m - settings.front_m, 0.0)
+        ttc_s = gap_m / np.where(is_on_course, closing_mps, np.nan)
+        c = np.where(is_on_path & (closing_mps > 0), closing_mps, np.nan)
+        left_m = gap_m - c * settings.reaction_s
+        drac, mdrac = (c * c / (2 * np.maximum(gap, _MIN_GAP_M)) for gap in (gap_m, left_m))
+        headway_s = np.where(is_on_path & (ego_mps >= _MIN_EGO_MPS), gap_m / max(ego_mps, _MIN_EGO_MPS), np.nan)
+
+        # Exposure.
+        below_s = TTC_LIMIT_S - ttc_s
+        tet_s, tit_s2, last_s = self._tracks.get(track_id)
+        dt = np.where(time_s - last_s <= _MAX_GAP_S, time_s - last_s, 0.0)
+        tet_s, tit_s2 = tet_s + dt * (below_s > 0), tit_s2 + dt * np.fmax(below_s, 0.0)
+        is_recent = time_s - self._tracks.known[2] <= _MAX_GAP_S
+        self._tracks.put(track_id, np.stack([tet_s, tit_s2, np.full(len(dt), time_s)]), keep_known=is_recent)
+
+        is_lead = is_on_path & _IS_VEHICLE[class_id] & np.isfinite(gap_m)
+        is_lead &= ~(ego_mps - closing_mps < _MIN_OWN_MPS)
+        is_lead &= gap_m == np.min(gap_m, initial=np.inf, where=is_lead)
+        lane = _lane_index(offset_m, warnings.path_offset_sigma_m, lane_edges_m)
+        return SafetyMeasures(gap_m, ttc_s, headway_s, drac, mdrac, tet_s, tit_s2, *lane, is_lead)
+
+
+def lane_edges_m(lanes: LaneLines | None, camera: PinholeCamera) -> tuple[float, float] | None:
+    """Left and right line of the ego lane relative to the camera, for a lane of usual width; None = not both seen.
+
+    The camera looks along the lane: x of its axis between the lines in the lowest common row is its place in the lane.
+    """
+    if lanes is None or lanes.left is None or lanes.right is None:
+        return None
+    y_px = np.array(min(lanes.left.y_bottom_px, lanes.right.y_bottom_px))
+    left_px, right_px = float(lanes.left.x_px(y_px)), float(lanes.right.x_px(y_px))
+    if not left_px < camera.cx_px < right_px:
+        return None
+    place = (camera.cx_px - left_px) / (right_px - left_px)
+    return -_LANE_M * place, _LANE_M * (1 - place)
+
+
+def _lane_index(
+    offset_m: FloatArray, sigma_m: FloatArray | None, edges_m: tuple[float, float] | None
+) -> tuple[FloatArray, FloatArray]:
+    """(N,) most probable lane of objects at these offsets from the ego path, and its standard deviation."""
+    left_m, right_m = edges_m or (-_LANE_M / 2, _LANE_M / 2)
+    sigma_m = np.hypot(0.0 if sigma_m is None else np.nan_to_num(sigma_m), _LANE_SIGMA_M)
+    limits = np.array([2 * left_m - right_m, left_m, right_m, 2 * right_m - left_m])[:, None]
+    p = np.diff(ndtr((limits - offset_m) / sigma_m), axis=0)
+    index, total = p.argmax(axis=0) - 1.0, p.sum(axis=0)
+    is_known = total > 0.5  # False for NaN
+    lanes = np.arange(-1.0, 2.0)[:, None]
+    variance = (p * (lanes - index) ** 2).sum(axis=0) / np.where(is_known, total, 1.0)
+    return np.where(is_known, index, np.nan), np.where(is_known, np.sqrt(variance), np.nan)
+
+
+def post_encroachment_s(
+    ego: FloatArray, track: FloatArray, *, half_width_m: float, settings: WarningSettings | None = None
+) -> float:
+    """PET of a track whose path crosses that of the ego vehicle; NaN = they do not cross, or one was not there.
+
+    `ego` (M, 3) and `track` (N, 3) are times in s with positions in m in the frame `map`, of the camera and of the
+    object's middle, in the order of time. The place of the encounter is where the track is nearer to the ego path than
+    `half_width_m` and half of the ego vehicle; that is there from its front to its rear.
+    """
+    settings = settings or WarningSettings()
+    step = np.hypot(*np.diff(ego[:, 1:], axis=0).T)
+    moved = np.concatenate([[True], step > 1e-3])  # rows of a standing vehicle have no direction
+    ego = ego[moved]
+    if len(ego) < 2 or len(track) < 2:
+        return np.nan
+    along = np.diff(ego[:, 1:], axis=0)
+    length = np.hypot(*along.T)
+    s_ego = np.concatenate([[0.0], np.cumsum(length)])
+    # Place s along the ego path and offset e from it of each position of the track.
+    away = track[:, None, 1:] - ego[None, :-1, 1:]
+    part = np.clip((away * along).sum(axis=2) / length**2, 0.0, 1.0)
+    residual = away - part[:, :, None] * along
+    nearest = np.hypot(residual[..., 0], residual[..., 1]).argmin(axis=1)
+    row = np.arange(len(track))
+    s = s_ego[nearest] + part[row, nearest] * length[nearest]
+    x, y = residual[row, nearest].T
+    e = (along[nearest, 0] * y - along[nearest, 1] * x) / length[nearest]
+    reach_m = half_width_m + settings.ego_width_m / 2
+    is_there = (np.hypot(x, y) < reach_m) & (s > 0) & (s < s_ego[-1])
+    inside = np.flatnonzero(is_there)
+    if not len(inside):
+        return np.nan
+    before, after = e[: inside[0]], e[inside[-1] + 1 :]
+    if not (len(before) and len(after) and before[-1] * after[0] < 0):
+        return np.nan
+    place_m = float(np.median(s[inside]))
+    arrives_s, leaves_s = np.interp(
+        [place_m - settings.front_m, place_m - settings.front_m + settings.ego_length_m], s_ego, ego[:, 0]
+    )
+    first_s, last_s = track[inside[0], 0], track[inside[-1], 0]
+    return float(max(arrives_s - last_s, first_s - leaves_s, 0.0))

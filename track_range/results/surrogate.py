@@ -1,0 +1,128 @@
+"""Surrogate measures of safety of the road users of a run or a fleet: one row each, with the moment of each extreme."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.foundation.arrays import IntArray
+from track_range.foundation.files.atomic_files import atomic_path, describe
+from track_range.foundation.files.output_files import OutputError, write_text
+from track_range.ranging.warning.safety import HALF_WIDTH_M, post_encroachment_s
+from track_range.results.columns import Columns
+from track_range.results.folder import read_run_folder
+from track_range.results.formats.parquet_file import PARQUET_FILE, read_tracks_parquet
+from track_range.results.formats.poses_file import Poses, read_poses
+from track_range.results.formats.row_file import csv_text
+
+_SMALLEST, _LARGEST = ("gap_m", "headway_s", "ttc_front_s"), ("drac_mps2", "mdrac_mps2")
+_CLIP = "clip="  # start of the folder of a clip's rows in those of a fleet
+
+EXTREMES = {**dict.fromkeys(_SMALLEST, "min"), **dict.fromkeys(_LARGEST, "max")}
+"""Which extreme of each column of the rows is listed, as `min_gap_m` and `min_gap_m_at_s`."""
+
+
+COLUMNS = (
+    *("clip", "track_id", "class", "state", "from_s", "to_s", "lead_s"),
+    *(f"{kind}_{key}{end}" for key, kind in EXTREMES.items() for end in ("", "_at_s")),
+    *("tet_s", "tit_s2", "pet_s"),
+)
+"""Keys of a row, in order."""
+
+
+def surrogate_rows(source: Path) -> list[dict[str, Any]]:
+    """Measures of each road user of a run's folder, or of the clips of a fleet's local folder, in the order of tracks.
+
+    Values: `clip` ("" of a run), `track_id`, `class`, `state` (the most frequent), `from_s`, `to_s`, `lead_s`, the
+    `EXTREMES` with their moments, `tet_s`, `tit_s2` and, with poses.csv, `pet_s`; None = unknown. OutputError: the
+    folder is not that of a run or a fleet, or its rows have no measures.
+    """
+    clips = sorted((source / "tracks").glob(f"{_CLIP}*/{PARQUET_FILE}"))
+    if not clips:
+        run = read_run_folder(source, is_rounded=False, has_events=False)
+        return list(_road_users("", run.columns, read_poses(source), source))
+    rows: list[dict[str, Any]] = []
+    for path in clips:
+        clip = path.parent.name.removeprefix(_CLIP)
+        rows += _road_users(clip, read_tracks_parquet(path), read_poses(source / "runs" / path.parent.name), path)
+    return rows
+
+
+def _road_users(clip: str, columns: Columns, poses: Poses | None, source: Path) -> Iterator[dict[str, Any]]:
+    if len(columns["frame"]) and not ("gap_m" in columns and np.isfinite(columns["gap_m"]).any()):
+        raise OutputError(
+            f"{source}: expected rows with measures of safety (gap_m), found none, as in rows of an earlier version; "
+            "repeat the run."
+        )
+    ego = None if poses is None else np.stack([poses.time_s, poses.x_m, poses.y_m], axis=1)
+    order = np.lexsort((columns["time_s"], columns["track_id"]))
+    starts = np.flatnonzero(np.diff(columns["track_id"][order])) + 1
+    for rows in np.split(order, starts) if len(order) else []:
+        name = _most_frequent(columns["class"][rows])
+        if name in ROAD_CLASSES and HALF_WIDTH_M[ROAD_CLASSES.index(name)] > 0:
+            yield {"clip": clip, **_measures(name, columns, rows, ego)}
+
+
+def _measures(name: str, columns: Columns, rows: IntArray, ego: Any) -> dict[str, Any]:
+    time_s = columns["time_s"][rows]
+    lead_s = float(np.sum(np.minimum(np.diff(time_s), 1.0) * (columns["is_lead"][rows][:-1] > 0)))
+    row: dict[str, Any] = {"track_id": int(columns["track_id"][rows[0]]), "class": name}
+    row |= {"state": _most_frequent(columns["state"][rows]) if "state" in columns else ""}
+    row |= {"from_s": float(time_s[0]), "to_s": float(time_s[-1]), "lead_s": lead_s}
+    for key, kind in EXTREMES.items():
+        values = columns[key][rows]
+        known = np.flatnonzero(np.isfinite(values))
+        i = known[(np.argmin if kind == "min" else np.argmax)(values[known])] if len(known) else None
+        row[f"{kind}_{key}"] = None if i is None else float(values[i])
+        row[f"{kind}_{key}_at_s"] = None if i is None else float(time_s[i])
+    row |= {key: float(np.nan_to_num(columns[key][rows[-1]])) for key in ("tet_s", "tit_s2")}
+    path = np.stack([time_s, columns["world_x_m"][rows], columns["world_y_m"][rows]], axis=1)
+    path = path[np.isfinite(path).all(axis=1)]
+    half_width_m = float(HALF_WIDTH_M[ROAD_CLASSES.index(name)])
+    pet_s = np.nan if ego is None else post_encroachment_s(ego, path, half_width_m=half_width_m)
+    return {**row, "pet_s": None if np.isnan(pet_s) else float(pet_s)}
+
+
+def _most_frequent(names: Any) -> str:
+    values, counts = np.unique(names, return_counts=True)
+    return str(values[np.argmax(counts)])
+
+
+def by_class(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Extremes and sums over the road users of each class: `n`, `n_exposed` (with a TET), the keys without moments."""
+    figures = []
+    for name in [name for name in ROAD_CLASSES if any(row["class"] == name for row in rows)]:
+        own = [row for row in rows if row["class"] == name]
+        figure: dict[str, Any] = {"class": name, "n": len(own), "n_exposed": sum(row["tet_s"] > 0 for row in own)}
+        for key in (*(f"{kind}_{key}" for key, kind in EXTREMES.items()), "pet_s"):
+            known = [row[key] for row in own if row[key] is not None]
+            figure[key] = (max if key.startswith("max") else min)(known) if known else None
+        figures.append({**figure, **{key: sum(row[key] for row in own) for key in ("tet_s", "tit_s2", "lead_s")}})
+    return figures
+
+
+def write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+    """Write the rows as CSV, numbers with 3 decimals, empty = unknown; OutputError if the file cannot be written."""
+
+    def text(value: Any) -> str:
+        return "" if value is None else f"{value:.3f}" if isinstance(value, float) else str(value)
+
+    write_text(path, csv_text([COLUMNS, *([text(row[key]) for key in COLUMNS] for row in rows)]))
+
+
+def write_parquet(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+    """Write the rows as Parquet in full precision, null = unknown; OutputError if the file cannot be written."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    texts, whole = ("clip", "class", "state"), ("track_id",)
+    kinds = {key: pa.string() if key in texts else pa.int64() if key in whole else pa.float64() for key in COLUMNS}
+    try:
+        with atomic_path(path) as partial:
+            parquet.write_table(pa.Table.from_pylist(list(rows), pa.schema(kinds.items())), partial, compression="zstd")
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written ({describe(error)}).") from error
