@@ -198,6 +198,7 @@ class RangingMethod:
             one has not measured, since it shares nearly all of the other's errors or is calibrated by it.
         is_scale_reference: whether fusion takes the scale of this method as correct: its systematic error is part of
             the covariance, but is not estimated from differences to other methods.
+        measures_distance: False for a method that gives details or growths only; it has no error sources.
         is_filtered: whether it also has a filter over time (`NAME_kf_m`).
         details: names of further values of each track, in `Ranges.details`; their columns are NAME_DETAIL.
     """
@@ -212,6 +213,7 @@ class RangingMethod:
     reads: tuple[str, ...] = ()
     fallback_for: str | None = None
     is_scale_reference: bool = False
+    measures_distance: bool = True
     is_filtered: bool = False
     details: tuple[str, ...] = ()
 
@@ -238,7 +240,7 @@ class RangingMethod:
             f"expected needs among {', '.join(needs)}, got {', '.join(self.needs)}": self.needs <= set(needs),
             f"expected error sources among {', '.join(sources)}": {s.name for s in self.error_sources} <= set(sources),
             f"expected non-negative error sources that sum to 1, got a sum of {sum(parts):.4f}": (
-                math.isclose(sum(parts), 1.0, abs_tol=1e-6) and min(parts) >= 0
+                math.isclose(sum(parts), float(self.measures_distance), abs_tol=1e-6) and min(parts, default=0) >= 0
             ),
         }
         for expected, holds in is_met.items():

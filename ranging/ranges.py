@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, IntArray, check_shape
+from track_range.ranging.filtering.key_distance import Growth
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +27,7 @@ class Ranges:
         sigma_m: (N,) standard deviation of distance_m; NaN where distance_m is.
         sigma_systematic_m: (N,) systematic part of sigma_m, constant over a track; None = unknown.
         details: (N,) further values by the names in `RangingMethod.details`; NaN = none.
+        growth: (N,) growth of the tracks in the images, for the filters of all methods; None = not measured.
         is_fallback: whether the method is the fallback that it declares to be (`RangingMethod.fallback_for`) also in
             this frame; False = it did not need the other method.
     """
@@ -35,6 +37,7 @@ class Ranges:
     sigma_m: FloatArray
     sigma_systematic_m: FloatArray | None = None
     details: Mapping[str, FloatArray] = field(default_factory=dict)
+    growth: Growth | None = None
     is_fallback: bool = True
 
     def __post_init__(self) -> None:

@@ -27,6 +27,7 @@ METHODS: Registry[RangingMethod] = Registry(
         "lane": f"{_METHODS_FOLDER}.lane_width:LANE",
         "stereo": f"{_METHODS_FOLDER}.patch_stereo:STEREO",
         "sgbm": f"{_METHODS_FOLDER}.dense_stereo:SGBM",
+        "expansion": f"{_METHODS_FOLDER}.expansion:EXPANSION",
     },
 )
 """The ranging methods; built-in ones are in the order of columns, tables and stages."""

@@ -38,8 +38,8 @@ MIN_PLAIN_SAMPLES = 20  # smallest number of boxes of a class to which a plain c
 
 
 def box_methods() -> tuple[RangingMethod, ...]:
-    """The registered methods that require only boxes and a camera."""
-    return tuple(method for method in methods() if not method.needs)
+    """The registered methods of distances that require only boxes and a camera."""
+    return tuple(method for method in methods() if method.measures_distance and not method.needs)
 
 
 def method_names() -> tuple[str, ...]:

@@ -139,7 +139,7 @@ class _FilterState(NamedTuple):
 
 
 _N, _Z = np.array(np.nan), np.array(0.0)
-_NEW_TRACK = _FilterState(_N, _N, _Z, _Z, _Z, _N, _N, _N, _N, _Z, _Z, _N, *[_Z] * 6, _N, _Z, _Z, _Z)
+_NEW_TRACK = _FilterState(_N, _N, _Z, _Z, _Z, _N, _N, _N, _N, _Z, _Z, _N, _Z, _Z, _Z, _Z, _Z, _Z, _N, _Z, _Z, _Z)
 
 
 class DistanceFilters:
@@ -201,7 +201,7 @@ class DistanceFilters:
             yaw_rad_s: its yaw rate, positive = to the right; NaN = 0.
             cut: boxes of the tracks that the image border cuts; None = none is cut, and all are on the camera's axis.
             is_hidden: (N,) whether distances come from boxes with hidden sides (`have_hidden_sides`); None = none.
-            growth: growth of the tracks in the images; None = not measured. Not used of boxes that are cut.
+            growth: growth of the tracks in the images, not used of boxes that are cut; None = not measured.
         """
         if by_method.keys().isdisjoint(self._methods):
             return {}
@@ -228,7 +228,7 @@ class DistanceFilters:
         d[is_expired] = v[is_expired] = np.nan
         P_dd, P_dv = state.P_xx + dt * dt / 4 * dV_variance, state.P_xv + dt / 2 * dV_variance
         P_vv = state.P_vv + dV_variance
-        key = KeyDistance(*last[18:]).predicted(dt)
+        key = KeyDistance(np.where(is_side, np.nan, last.r), *last[19:]).predicted(dt)
 
         # A change of condition: the step may be as large as the old and the new systematic error together.
         condition, is_changed = last.condition, np.zeros_like(valid)
@@ -259,7 +259,7 @@ class DistanceFilters:
         side, key = side.updated(state, nu, R, valid=known), key.updated(state, nu, R, valid=known)
         state = state.update(nu, R, valid=known)
         if growth is not None:
-            state, key = key.grown(state, growth, valid=~is_side & ~is_lost, outlier_sigma=settings.outlier_sigma)
+            state, key = key.grown(state, growth, valid=~is_lost, outlier_sigma=settings.outlier_sigma)
         state = replace(state, x=np.maximum(state.x, _MIN_DISTANCE_M))
 
         # Restart.
@@ -285,8 +285,7 @@ class DistanceFilters:
             condition=condition,
             steady_since_s=steady_since_s,
             is_hidden=hidden,
-            **side._asdict(),
-            **key._asdict(),
+            **side._asdict() | key._asdict(),
         )
         is_recent = time_s - _FilterState._make(self._tracks.known).measured_s <= settings.max_gap_s
         self._tracks.put(track_id, np.array(new), keep_known=np.asarray(is_recent.any(axis=0)))

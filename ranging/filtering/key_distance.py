@@ -58,7 +58,7 @@ class KeyDistance(NamedTuple):
         nu = d * (growth.log_ratio - np.log(self.r / d))
         valid = valid & np.isfinite(nu)
         H_d, H_v, H_r = c * self.P_dr - state.P_xx, c * self.P_vr - state.P_xv, c * self.P_rr - self.P_dr  # P H^T
-        S = c * H_r - H_d
+        S = np.maximum(c * H_r - H_d, 0.0)
         R = (d * growth.sigma) ** 2
         R = R * np.maximum(1.0, np.abs(nu) / (outlier_sigma * np.sqrt(S + R))) ** 2
         weight, nu = np.where(valid, 1 / (S + R), 0.0), np.where(valid, nu, 0.0)

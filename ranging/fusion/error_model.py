@@ -45,7 +45,8 @@ class ErrorModel:
 
     @classmethod
     def of(cls, methods: Sequence[RangingMethod]) -> ErrorModel:
-        """Error model of the given methods."""
+        """Error model of the given methods of distances; others are left out."""
+        methods = [method for method in methods if method.measures_distance]
         systematic, systematic_correlation = _correlation(methods, "systematic")
         independent, independent_correlation = _correlation(methods, "independent", min_own=_MIN_OWN_NOISE)
         independent_covariance = independent * independent.T * independent_correlation

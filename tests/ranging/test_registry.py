@@ -63,12 +63,17 @@ def test_measuring_order_follows_reads():
 
 
 def test_rangers_are_created_if_their_needs_are_met():
-    assert list(registry.create_rangers(MethodContext(camera=CAMERA))) == ["mono", "ground"]
+    assert list(registry.create_rangers(MethodContext(camera=CAMERA))) == ["mono", "ground", "expansion"]
     rig = StereoRig.rectified(CAMERA, 0.5)
-    assert list(registry.create_rangers(MethodContext(camera=CAMERA, rig=rig))) == ["mono", "ground", "stereo"]
+    assert list(registry.create_rangers(MethodContext(camera=CAMERA, rig=rig))) == [
+        "mono",
+        "ground",
+        "stereo",
+        "expansion",
+    ]
     everything = MethodContext(camera=CAMERA, rig=rig, has_lane_lines=True, has_dense_disparity=True)
     rangers = registry.create_rangers(everything)
-    assert list(rangers) == ["mono", "ground", "stereo", "lane", "sgbm"]
+    assert list(rangers) == ["mono", "ground", "stereo", "lane", "sgbm", "expansion"]
     for ranger in rangers.values():
         ranger.close()
 
@@ -121,7 +126,7 @@ def test_entry_points(install, monkeypatch, tmp_path):
         "twice": "radar_package:RADAR",
     }
     install("track_range.ranging_methods", **targets)
-    assert names(registry.methods())[5:] == ["radar"]
+    assert names(registry.methods())[6:] == ["radar"]
     notes = registry.method_notes()
     assert [note.split()[2] for note in notes] == ["absent", "other", "twice", "unknown"]
     assert all("\n" not in note for note in notes)

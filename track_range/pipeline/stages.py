@@ -248,6 +248,7 @@ class FusionStage:
             ego_speed_mps=ego.speed_mps,
             ego_sigma_mps=ego.speed_sigma_mps,
             yaw_rad_s=ego.yaw_rad_s,
+            growth=next((measured.growth for measured in ranges.values() if measured.growth is not None), None),
             cut=CutBoxes.of(tracks, self._camera),
             is_hidden=have_hidden_sides(tracks.xyxy_px) & (fused.scale_source == ScaleSource.ASSUMED)
             if self._has_visible_boxes

@@ -128,9 +128,15 @@ def result_columns() -> tuple[ResultColumn, ...]:
 
 
 def _method_columns(*, is_built_in: bool) -> Iterator[ResultColumn]:
-    """Columns NAME_m and NAME_sigma_m of ranging methods and of their filters if they have one, and NAME_DETAIL."""
-    for method in (method for method in methods() if (method.name in METHODS.built_in) == is_built_in):
-        for name in (method.name, *([f"{method.name}_kf"] if method.is_filtered else [])):
+    """Columns NAME_m and NAME_sigma_m of ranging methods and of their filters if they have one, and NAME_DETAIL.
+
+    `is_built_in`: of the built-in methods that measure distances, else of all others.
+    """
+    for method in methods():
+        if (method.name in METHODS.built_in and method.measures_distance) != is_built_in:
+            continue
+        names = (method.name, *([f"{method.name}_kf"] if method.is_filtered else []))
+        for name in names if method.measures_distance else ():
             yield _of_method(name, "m")
             yield _of_method(name, "sigma_m")
         for detail in method.details:
@@ -146,7 +152,7 @@ def _of_method(method: str, part: str) -> ResultColumn:
         known = None if ranges is None else getattr(ranges, attribute) if attribute else ranges.details.get(part)
         return np.full(len(result.tracks), np.nan) if known is None else known
 
-    return ResultColumn(f"{method}_{part}", "m" if attribute else "", read)
+    return ResultColumn(f"{method}_{part}", "m" if attribute else "s" if part.endswith("_s") else "", read)
 
 
 def _of_frame(name: str) -> Callable[[FrameResult], Any]:

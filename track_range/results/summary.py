@@ -71,6 +71,7 @@ def with_truth(columns: Columns, matched: MatchedTruth) -> dict[str, Any]:
 
 def range_scores(columns: Columns, matched: MatchedTruth | None, methods: Collection[str]) -> dict[str, Any]:
     """Sections `methods` and `common` for the methods that ran; `closing` if the ground truth contains speeds."""
+    methods = [name for name in methods if f"{name}_m" in columns]
     known = [name for name in methods_with_sigma() if name in methods]
     names = [*known, *sorted(set(methods) - set(known))]  # methods of packages that are not installed here come last
     by_name = {name: MethodColumn(columns[f"{name}_m"], columns[f"{name}_sigma_m"]) for name in names}

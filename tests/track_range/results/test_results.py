@@ -33,7 +33,8 @@ CONTRACT = (
     "mono_kf_sigma_m,stereo_kf_sigma_m,fused_kf_sigma_m,ground_sigma_m,closing_sigma_mps,ttc_sigma_s,utc,"
     "ego_mps,contact_probability,warning,path_offset_m,stereo_surfaces,stereo_probability,"
     "speed_mps,speed_sigma_mps,heading_deg,world_x_m,world_y_m,state,"
-    "gap_m,ttc_front_s,headway_s,drac_mps2,mdrac_mps2,tet_s,tit_s2,lane_index,lane_index_sigma,is_lead"
+    "gap_m,ttc_front_s,headway_s,drac_mps2,mdrac_mps2,tet_s,tit_s2,lane_index,lane_index_sigma,is_lead,"
+    "expansion_ttc_s,expansion_ttc_sigma_s"
 ).split(",")
 
 
@@ -116,8 +117,10 @@ def test_only_distances_of_methods_are_distances():
 
 
 def test_every_built_in_method_has_columns():
-    names = {f"{method.name}{end}" for method in methods() for end in ("_m", "_sigma_m")}
+    names = {f"{method.name}{end}" for method in methods() if method.measures_distance for end in ("_m", "_sigma_m")}
     assert names <= set(CONTRACT)
+    assert "expansion_m" not in CONTRACT
+    assert "expansion" not in methods_with_sigma()
 
 
 def test_rows_by_hand(tmp_path):

@@ -138,7 +138,8 @@ def corner_lines(
         warning = "scale in doubt"
     if warning:
         clock.append(Span(warning, size_px, BOLD, AMBER))
-    letters = [f"{method.letter} {method.title}" for method in methods() if method.name in result.ranges]
+    shown = [method for method in methods() if method.measures_distance and method.name in result.ranges]
+    letters = [f"{method.letter} {method.title}" for method in shown]
     legend = "   ".join(["large: fused ±1 sigma", *letters, "dashed: predicted"])
     return [clock], [[Span(legend, size_px, REGULAR, GREY)]]
 
