@@ -23,7 +23,9 @@ def evaluate_motion(settings: MotionEvaluationSettings) -> dict[str, Any]:
         is_cross_validated=settings.cross_validate,
         box_sigma_px=settings.noise_px if settings.boxes == "labels" else None,
     )
-    measured = measured_motion(truth, settings.method, options, is_ego_known=settings.ego == "poses")
+    measured = measured_motion(
+        truth, settings.method, options, is_ego_known=settings.ego == "poses", look_ahead=settings.look_ahead
+    )
     return {
         "labels": str(settings.labels),
         "boxes": settings.boxes,
@@ -31,6 +33,7 @@ def evaluate_motion(settings: MotionEvaluationSettings) -> dict[str, Any]:
         "seed": settings.seed,
         "method": settings.method,
         "ego": settings.ego,
+        "look_ahead": settings.look_ahead,
         "cross_validated": settings.cross_validate,
         "n_boxes": len(truth.boxes),
         **motion_figures(truth, measured),

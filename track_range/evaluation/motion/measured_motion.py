@@ -6,18 +6,22 @@ Methods measure each frame's boxes; the stage of a run fuses and filters them, a
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from track_range.evaluation.motion.labelled_motion import LabelledMotion
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.foundation.errors import UsageError
 from track_range.pipeline.stages import FusionStage
 from track_range.ranging.evaluation.box_methods import MethodOptions, as_frames, box_methods, measured_by
 from track_range.ranging.evaluation.errors import MethodColumn
-from track_range.ranging.filtering.distance_filter import FilteredRanges
+from track_range.ranging.filtering.distance_filter import FilteredRanges, FilterSettings, time_to_collision
 from track_range.ranging.filtering.lateral_motion import LateralMotion
+from track_range.ranging.filtering.look_ahead import combined
+from track_range.ranging.filtering.static_objects import with_static_hypothesis
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.stereo.odometry.ego_motion import EgoMotion
@@ -40,9 +44,17 @@ class MeasuredMotion:
 
 
 def measured_motion(
-    motion: LabelledMotion, method: str, options: MethodOptions | None = None, *, is_ego_known: bool = True
+    motion: LabelledMotion,
+    method: str,
+    options: MethodOptions | None = None,
+    *,
+    is_ego_known: bool = True,
+    look_ahead: bool = False,
 ) -> MeasuredMotion:
-    """Motion of the boxes by a method, or by the fusion of several (`mono+ground`); UsageError: an unknown one."""
+    """Motion of the boxes by a method, or by the fusion of several (`mono+ground`); UsageError: an unknown one.
+
+    With `look_ahead`, closing speeds and times to collision use all frames of a sequence, others the frames so far.
+    """
     names, known = method.split("+"), [listed.name for listed in box_methods()]
     if not set(names) <= set(known):
         raise UsageError(f"--method {method}: expected {' or '.join(known)}, or several of them with + between them.")
@@ -50,12 +62,13 @@ def measured_motion(
     columns = measured_by(names, boxes, boxes, options)
     distance_m, closing_mps, sigma_mps, ttc_s, speed_mps, speed_sigma_mps, offset_m = np.full((7, len(boxes)), np.nan)
     is_alarm = np.zeros(len(boxes), np.bool_)
+    states = np.full((6, len(boxes)), np.nan)
+    if not is_ego_known:
+        motion = replace(motion, ego_mps=distance_m.copy(), yaw_rad_s=distance_m.copy())  # NaN
     for rows, tracks, frame, is_first in as_frames(boxes, boxes.class_id):
         if is_first:
             stage, warning = FusionStage(boxes.camera_at(rows[0])), CollisionWarning()
-        ego = EgoMotion()
-        if is_ego_known:
-            ego = EgoMotion(float(motion.ego_mps[rows[0]]), EGO_SIGMA_MPS, float(motion.yaw_rad_s[rows[0]]))
+        ego = _ego(motion, rows[0])
         ranges = {name: _ranges(column, rows, tracks.track_id) for name, column in columns.items()}
         state, lateral = stage.update(frame, tracks, ranges, ego)
         alarm = warning.update(tracks, state, lateral, frame.time_s, ego_mps=ego.speed_mps, yaw_rad_s=ego.yaw_rad_s)
@@ -63,7 +76,47 @@ def measured_motion(
         closing_mps[rows], sigma_mps[rows] = -state.rate_mps, state.rate_sigma_mps
         speed_mps[rows], speed_sigma_mps[rows] = _ground_speed(state, lateral, ego)
         offset_m[rows], is_alarm[rows] = alarm.path_offset_m, alarm.active
+        states[:, rows] = _state(state)
+    if look_ahead:
+        rate_mps, sigma_mps, ttc_s = _with_look_ahead(motion, columns, states)
+        closing_mps = -rate_mps
     return MeasuredMotion(distance_m, closing_mps, sigma_mps, ttc_s, speed_mps, speed_sigma_mps, offset_m, is_alarm)
+
+
+def _ego(motion: LabelledMotion, row: int, sign: float = 1.0) -> EgoMotion:
+    """Motion of the camera in the frame of a box; `sign` -1 = backwards in time."""
+    speed_mps, yaw_rad_s = sign * float(motion.ego_mps[row]), sign * float(motion.yaw_rad_s[row])
+    return EgoMotion(speed_mps, EGO_SIGMA_MPS if math.isfinite(speed_mps) else math.nan, yaw_rad_s)
+
+
+def _state(filtered: FilteredRanges) -> FloatArray:
+    """(6, N) columns of the state of the filter, and relative variance of the systematic error."""
+    state = filtered.state
+    systematic = (filtered.ranges.sigma_m**2 - state.P_xx) / state.x**2
+    return np.stack([*state.columns, np.maximum(systematic, 0.0)])
+
+
+def _with_look_ahead(
+    motion: LabelledMotion, columns: Mapping[str, MethodColumn], forward: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(N,) rates, their sigmas and times to collision, from the forward states (6, N) and a filter backwards in time."""
+    boxes, backward = motion.boxes, np.full_like(forward, np.nan)
+    sequence = -1
+    for rows, tracks, frame, _ in reversed(list(as_frames(boxes, boxes.class_id))):
+        if boxes.sequence[rows[0]] != sequence:
+            sequence, stage = int(boxes.sequence[rows[0]]), FusionStage(boxes.camera_at(rows[0]))
+        ranges = {name: _ranges(column, rows, tracks.track_id) for name, column in columns.items()}
+        before = replace(frame, time_s=-frame.time_s)
+        state, _lateral = stage.update(before, tracks, ranges, _ego(motion, rows[0], -1.0))
+        backward[:, rows] = _state(state)
+    state = combined(ConstantVelocity(*forward[:5]), ConstantVelocity(*backward[:5]))
+    static_mps = np.nan_to_num(motion.yaw_rad_s) * boxes.bearing * state.x - motion.ego_mps
+    own_sigma_mps = FilterSettings().target_speed_sigma_mps
+    rated = with_static_hypothesis(
+        state, forward[5], static_mps, ego_sigma_mps=EGO_SIGMA_MPS, own_sigma_mps=own_sigma_mps
+    )
+    ttc_s, _ = time_to_collision(rated.x, rated.v, variances=(rated.P_xx, rated.P_xv, rated.P_vv))
+    return rated.v, np.sqrt(rated.P_vv), ttc_s
 
 
 def _ranges(column: MethodColumn, rows: IntArray, track_id: IntArray) -> Ranges:

@@ -48,6 +48,9 @@ class MotionEvaluationSettings(Options):
         Literal["poses", "none"],
         option("Speed and yaw rate of the camera that are known: those of the poses, as from a wheel sensor, or none."),
     ] = "poses"
+    look_ahead: Annotated[
+        bool, option("Closing speeds and times to collision from all frames of a sequence, not only those so far.")
+    ] = False
     cross_validate: Annotated[
         bool, option("Cross-validation: sizes refitted for each sequence on the boxes of the others.")
     ] = False
