@@ -223,7 +223,7 @@ def _aligned(
                 break
     residual = (W * r * r).sum(axis=1) / total
     signal = g[:, 0] ** 2 * (W * contrast * contrast).sum(axis=1) / total
-    # Points that are closer than the pixels of the level have no noise of their own.
+    # Points that are closer than the pixels of the level share their noise.
     per_pixel = np.maximum(2.0 ** level[:, None] / step_px, 1.0).prod(axis=1)
     unit = unit[:, 2:] / g
     covariance = np.linalg.inv(H)[:, 2:4, 2:4] * unit[:, :, None] * unit[:, None]

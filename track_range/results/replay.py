@@ -50,11 +50,10 @@ def frames_of_rows(
         measures = {name: columns.get(name, unknown) for name in SAFETY_UNITS}
         safety = SafetyMeasures(**measures, is_lead=columns.get("is_lead", unknown) > 0)
     methods = set(methods)
+    listed = ranging_methods()
     measured = [name for name in methods_with_sigma() if name in methods]
-    details = {
-        method.name: [key for key in method.details if f"{method.name}_{key}" in columns]
-        for method in ranging_methods()
-    }
+    measured += [method.name for method in listed if not method.measures_distance]
+    details = {method.name: [key for key in method.details if f"{method.name}_{key}" in columns] for method in listed}
     class_id = map_to_road_classes([str(name) for name in columns["class"]])
     track_id, boxes = columns["track_id"].astype(np.int64), boxes_px(columns)
     observed = columns["observed"] > 0
@@ -72,8 +71,8 @@ def frames_of_rows(
             ranges={
                 name: Ranges(
                     ids,
-                    columns[f"{name}_m"][rows],
-                    columns[f"{name}_sigma_m"][rows],
+                    columns.get(f"{name}_m", unknown)[rows],
+                    columns.get(f"{name}_sigma_m", unknown)[rows],
                     details={key: columns[f"{name}_{key}"][rows] for key in details.get(name, ())},
                 )
                 for name in measured

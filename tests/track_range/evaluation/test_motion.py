@@ -89,6 +89,24 @@ def test_exact_boxes_give_the_true_motion(drive, cli, tmp_path):
     assert "Time to collision" in printed
 
 
+def test_look_ahead_answers_more(drive):
+    """With 2 px of noise: later frames give the first ones a closing speed, with smaller errors."""
+    import track_range as tr
+
+    labels, calib, poses = drive
+    bands = {
+        look_ahead: tr.evaluate_motion(labels, calib=calib, poses=poses, noise_px=2.0, look_ahead=look_ahead)["bands"]
+        for look_ahead in (False, True)
+    }
+    far, far_ahead = bands[False]["40-80"], bands[True]["40-80"]
+    near, near_ahead = bands[False]["10-40"], bands[True]["10-40"]
+    assert far["n"] == far_ahead["n"]
+    assert far["coverage"] + 0.3 < far_ahead["coverage"] <= 1.0
+    assert near["coverage"] < near_ahead["coverage"]
+    assert 0.0 < near_ahead["median_mps"] < near["median_mps"]
+    assert 0.0 < far_ahead["median_mps"] < 1.0
+
+
 def test_slopes_need_labels_on_both_sides():
     time_s = np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 5.0])
     key = np.zeros((1, 8), np.int64)

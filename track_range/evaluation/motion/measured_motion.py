@@ -99,7 +99,7 @@ def _state(filtered: FilteredRanges) -> FloatArray:
 def _with_look_ahead(
     motion: LabelledMotion, columns: Mapping[str, MethodColumn], forward: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(N,) rates, their sigmas and times to collision, from the forward states (6, N) and a filter backwards in time."""
+    """(N,) rates, sigmas and times to collision, from the forward states (6, N) and a filter backwards in time."""
     boxes, backward = motion.boxes, np.full_like(forward, np.nan)
     sequence = -1
     for rows, tracks, frame, _ in reversed(list(as_frames(boxes, boxes.class_id))):
@@ -107,8 +107,7 @@ def _with_look_ahead(
             sequence, stage = int(boxes.sequence[rows[0]]), FusionStage(boxes.camera_at(rows[0]))
         ranges = {name: _ranges(column, rows, tracks.track_id) for name, column in columns.items()}
         before = replace(frame, time_s=-frame.time_s)
-        state, _lateral = stage.update(before, tracks, ranges, _ego(motion, rows[0], -1.0))
-        backward[:, rows] = _state(state)
+        backward[:, rows] = _state(stage.update(before, tracks, ranges, _ego(motion, rows[0], -1.0))[0])
     state = combined(ConstantVelocity(*forward[:5]), ConstantVelocity(*backward[:5]))
     static_mps = np.nan_to_num(motion.yaw_rad_s) * boxes.bearing * state.x - motion.ego_mps
     own_sigma_mps = FilterSettings().target_speed_sigma_mps
