@@ -59,7 +59,7 @@ def track_rows(track_id: int, name: str, *, near_m: float, x_m: float, utc_s: fl
         "mono_sigma_m": nothing,
         "truth_m": distance_m,
         "x_m": np.full(N_ROWS, x_m),
-        "ttc_s": distance_m / 10 if ttc else nothing,
+        "ttc_front_s": distance_m / 10 if ttc and abs(x_m) < 2 else nothing,
         "ttc_sigma_s": distance_m / 100 if ttc else nothing,
         "closing_mps": np.full(N_ROWS, 10.0),
         "utc": nothing if utc_s is None else utc_s + n * STEP_S,

@@ -133,8 +133,8 @@ def fleet_sections(figures: Figures, links: Links | None = None) -> list[Section
         ),
         "collisions": (
             "Shortest times to collision",
-            "Road users that have been on a collision course for 0.5 s: predicted lateral offset at most 2 m at the "
-            f"time of collision. {SIGMA} at most half of the time; one row per track.",
+            "Time to collision of the front with road users on the path, or that will be there with a probability of "
+            f"at least one half. {SIGMA} at most half of the time; one row per track.",
             [_ranking("Tracks on a collision course", figures["collisions"], _COLLISION_MEASURES, links)],
             "No road user was on a collision course.",
         ),

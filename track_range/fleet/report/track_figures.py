@@ -3,9 +3,7 @@
 Coverage of a method in a distance band = observed boxes with a distance of the method / observed boxes. The band is
 that of the filtered fused distance, which every ranged track has.
 
-Times to collision are `ttc_front_s`; in rows of earlier versions `ttc_s` of tracks on a collision course, whose
-lateral offset at the time of collision, x + T v_x, has been at most `COURSE_HALF_WIDTH_M` for `_STEADY_S`; v_x is the
-slope of the positions x over the last `_COURSE_S`.
+Times to collision are `ttc_front_s`, of the front with road users on the path; rows of earlier versions have none.
 """
 
 from __future__ import annotations
@@ -28,16 +26,13 @@ if TYPE_CHECKING:
 
 N_RANKED = 20  # number of tracks in a ranking
 EDGES_M = (0.0, *BANDS_M, float("inf"))  # edges of the distance bands: those of the evaluation, and all other distances
-COURSE_HALF_WIDTH_M = 2.0  # on a collision course: half the widths of the ego vehicle and the object
 _MAX_RELATIVE_SIGMA = 0.5  # largest standard deviation of a ranked distance or time to collision, relative to it
 _NOT_ROAD_USERS = ("traffic light", "traffic sign")  # classes that are not ranked
-_COURSE_S, _MIN_ROWS = 1.0, 4  # time in s over which the lateral speed is estimated, and smallest number of rows in it
-_STEADY_S, _MIN_STEADY_ROWS = 0.5, 3  # time in s on a collision course before a track is ranked, and rows in it
 _REFERENCES = ("fused_kf", "fused")  # distances that give the band and the closest approach, the first that a row has
 _MAX_NUMBER = 1e12  # limit of track numbers, and of times in s
 
 _NEEDED = ("time_s", "track_id", "class")
-_OTHERS = ("observed", "gap_m", "ttc_front_s", "ttc_s", "ttc_sigma_s", "closing_mps", "x_m", "utc")
+_OTHERS = ("observed", "ttc_front_s", "ttc_sigma_s", "x_m", "utc")
 
 Figures = dict[str, Any]  # figures by name, as in the JSON file; None = unknown
 
@@ -99,7 +94,7 @@ def track_figures(clip: str, table: pa.Table) -> TrackFigures:
         rows.count_tracks(figures)
         rows.count_coverage(figures)
         figures.closest = _ranked(rows.approaches(clip, rows.precise_m()), "distance_m")
-        figures.collisions = _ranked(rows.approaches(clip, rows.ttc_on_course_s()), "ttc_s")
+        figures.collisions = _ranked(rows.approaches(clip, rows.precise_ttc_s()), "ttc_s")
     return figures
 
 
@@ -117,9 +112,6 @@ class _Rows:
         order = np.lexsort(keys)
         self._columns: dict[str, FloatArray] = {name: values[order] for name, values in numbers.items()}
         self._unknown = np.full(len(order), np.nan)
-        self._has_front = bool(np.isfinite(self._column("gap_m")).any())
-        if self._has_front:  # the time to collision of events and reports; rows of earlier versions lack it
-            self._columns["ttc_s"] = self._column("ttc_front_s")
         self._methods = _methods(table.column_names)
         is_first = np.diff(self._columns["track_id"], prepend=np.nan) != 0
         self.starts: IntArray = np.flatnonzero(is_first)  # (T,) first row of each track
@@ -163,42 +155,11 @@ class _Rows:
         with np.errstate(invalid="ignore"):
             return np.where(self.sigma_m > _MAX_RELATIVE_SIGMA * self.distance_m, np.nan, self.distance_m)
 
-    def ttc_on_course_s(self) -> FloatArray:
-        """Time to collision of the rows that are on a collision course and whose sigma is small enough, else NaN."""
-        ttc_s, sigma_s, x_m = (self._column(name) for name in ("ttc_s", "ttc_sigma_s", "x_m"))
-        if self._has_front:
-            return ttc_s
+    def precise_ttc_s(self) -> FloatArray:
+        """Time to collision of the rows where its sigma is small enough, else NaN."""
+        ttc_s = self._column("ttc_front_s")
         with np.errstate(invalid="ignore"):
-            offset_m = x_m + ttc_s * self._lateral_mps(x_m)
-            is_on_course = np.abs(offset_m) <= COURSE_HALF_WIDTH_M
-            is_precise = sigma_s <= _MAX_RELATIVE_SIGMA * ttc_s
-        n_on_course, n = self._window_sums(np.array([is_on_course, np.ones_like(x_m)]), _STEADY_S)
-        return np.where(is_precise & (n_on_course == n) & (n >= _MIN_STEADY_ROWS), ttc_s, np.nan)
-
-    def _lateral_mps(self, x_m: FloatArray) -> FloatArray:
-        """Slope of the least-squares line through the observed positions of the last `_COURSE_S`, m/s; NaN = too few.
-
-        v = (n sum(t x) - sum(t) sum(x)) / (n sum(t^2) - sum(t)^2)
-        """
-        valid = self.observed & np.isfinite(x_m)
-        t_s = self.time_s - self.time_s[self.starts][self.track]
-        x = np.where(valid, x_m, 0.0)
-        n, s_t, s_tt, s_x, s_tx = self._window_sums(
-            np.array([np.ones_like(x), t_s, t_s**2, x, t_s * x]) * valid, _COURSE_S
-        )
-        determinant = n * s_tt - s_t**2
-        is_known = (n >= _MIN_ROWS) & (determinant > 0)
-        return np.where(is_known, (n * s_tx - s_t * s_x) / np.where(is_known, determinant, 1.0), np.nan)
-
-    def _window_sums(self, terms: FloatArray, duration_s: float) -> FloatArray:
-        """(K, N) sums of (K, N) terms over the rows of the same track in the last `duration_s`, the row included."""
-        sums = np.concatenate([np.zeros((len(terms), 1)), np.cumsum(terms, axis=1)], axis=1)
-        # one increasing sequence over all tracks, in which the first row of each window is searched
-        time_s = self.time_s - self.time_s.min()
-        key = self.track * (time_s.max() + 2 * duration_s) + time_s
-        first = np.maximum(np.searchsorted(key, key - duration_s), self.starts[self.track])
-        windows: FloatArray = sums[:, 1:] - sums[:, first]
-        return windows
+            return np.where(self._column("ttc_sigma_s") <= _MAX_RELATIVE_SIGMA * ttc_s, ttc_s, np.nan)
 
     def approaches(self, clip: str, values: FloatArray) -> list[Figures]:
         """The observed row of each road user with the smallest value, as the moment of the track.
@@ -219,7 +180,9 @@ class _Rows:
             "utc_s": self._column("utc"),
             "distance_m": self.distance_m,
             "sigma_m": self.sigma_m,
-            **{name: self._column(name) for name in ("x_m", "ttc_s", "ttc_sigma_s")},
+            "x_m": self._column("x_m"),
+            "ttc_s": self._column("ttc_front_s"),
+            "ttc_sigma_s": self._column("ttc_sigma_s"),
         }
         return [
             {

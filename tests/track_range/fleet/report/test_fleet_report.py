@@ -116,14 +116,13 @@ def test_uncertain_distances_are_not_ranked():
     assert approach["distance_m"] in rows["fused_kf_m"][-4:]
 
 
-def test_crossing_track_is_on_course():
-    """A lateral position of 6 m that falls by 3 m/s is at 0 after 2 s."""
-    rows = track_rows(1, "person", near_m=10.0, x_m=0.0, utc_s=None)
-    rows["x_m"] = 3.0 * rows["ttc_s"]
-    table = rows_table(rows)
-    assert len(track_figures("a", table).collisions) == 1
-    rows["x_m"] = 3.0 * rows["ttc_s"] + 4.0
+def test_uncertain_times_to_collision_are_not_ranked():
+    rows = track_rows(1, "car", near_m=5.0, x_m=0.0, utc_s=None)
+    rows["ttc_sigma_s"] = 0.6 * rows["ttc_front_s"]
     assert track_figures("a", rows_table(rows)).collisions == []
+    rows["ttc_sigma_s"][3] = 0.4 * rows["ttc_front_s"][3]
+    (collision,) = track_figures("a", rows_table(rows)).collisions
+    assert collision["ttc_s"] == rows["ttc_front_s"][3]
 
 
 def test_errors_and_drift(out):
