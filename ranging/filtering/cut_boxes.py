@@ -68,7 +68,7 @@ class SideState(NamedTuple):
     P_kk: FloatArray  # 0 = the last box was not cut
 
     def predicted(
-        self, state: ConstantVelocity, cut: CutBoxes, dt: FloatArray, *, q: float
+        self, state: ConstantVelocity, cut: CutBoxes, dt: FloatArray, *, q: FloatArray | float
     ) -> tuple[ConstantVelocity, SideState, FloatArray]:
         """State of d and v and of k after `dt`, and the relative variance of d by the noise of the free edges.
 

@@ -9,45 +9,57 @@ logarithm because the noise is in the box size in px: in metres, too large dista
 and short distances too much weight. If the ego speed V is known, the target's own speed v + V is taken as constant,
 with dV the change of V over the step: d' = d + v dt - dV dt / 2, v' = v - dV. The error of V, with standard deviation
 sigma_V, decays over tau: dV has the variance 2 sigma_V^2 (1 - exp(-dt / tau)), which is added as that of dV is to the
-state; 0 while V does not change, as its error does not change either. A new track starts as a static target, v = -V.
+state; 0 while V does not change, as its error does not change either. In turns, V is the speed V - w b d with which
+static objects at the bearing b come nearer. A new track starts as a static target, v = -V.
+
+A filter runs for each of several models of the motion, static or with another q, and the results are their mean
+(`motion_models`). The closing speed of a static object is V, whatever its size.
 
 The sigma of a method has an independent part, new in every frame (box jitter, matching noise), and a systematic part,
 constant over a track (the car is larger than average). Only the independent part averages out: it alone is R, scaled by
 lambda, which is estimated from the innovations of the method (`NoiseScale`). The systematic part is added to the
-filter's variance at the output. It is common to distance and speed, so the time to collision d / -v does not contain
+filter's variance at the output, and changes with the distance: P_dd grows by kappa (k d)^2 |v| dt / d, where k is its
+relative standard deviation. It is common to distance and speed, so the time to collision d / -v does not contain
 it. When the condition of a measurement changes (a method joins or leaves the fusion, a nearer box begins or ceases to
 hide a side of the box), so does its systematic error: the variances of the old and the new one are added to that of d,
 so that the step does not appear as speed. A measurement beyond 3 sigma is down-weighted (Huber); after three in a row
 the filter restarts.
 
-Rates and times to collision are those under the hypotheses that an object is static or moves (`static_objects`), if the
-ego speed is known. Where the image border cuts a box, the prediction is that of the object's far end (`cut_boxes`). The
-growth of objects in the images is a further measurement (`key_distance`).
+Where the image border cuts a box, the prediction is that of the object's far end (`cut_boxes`). The growth of objects
+in the images is a further measurement (`key_distance`).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
+from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.foundation.track_state import TrackState
 from track_range.ranging.filtering.cut_boxes import CutBoxes, SideState
 from track_range.ranging.filtering.key_distance import Growth, KeyDistance
-from track_range.ranging.filtering.static_objects import with_static_hypothesis
+from track_range.ranging.filtering.motion_models import ModelSettings, MotionModels, covariance_of, mean_of
 from track_range.ranging.ranges import Ranges
 
+_CAR = ROAD_CLASSES.index("car")
 MIN_CLOSING_MPS = 0.3  # smallest closing speed with a time to collision; below, the time is mostly noise
 _MIN_INDEPENDENT_FRACTION = 0.1  # of sigma; a method that declares less is filtered with this fraction
 
 _EGO_CORRELATION_S = 1.0
 """Time tau in seconds over which errors of the ego speed are correlated; assumed: that of receivers with one sample per
 second. Odometry's are shorter, but its sigma is a tenth of a receiver's."""
+
+_DRIFT = 0.2
+"""Growth kappa of the systematic variance per change of log distance; `fusion` has 0.4 for the error of the size alone.
+Chosen on 13 of KITTI's tracking sequences."""
+
+_MAX_DRIFTING = 0.08  # largest relative sigma that drifts: that of shapes; more is an unknown scale, which is constant
 
 _MIN_DISTANCE_M = 0.3  # a track that is predicted to be nearer has passed the camera, and its filter restarts
 _PRIOR_SAMPLES, _MEMORY_SAMPLES = 30.0, 300.0  # measurements: weight of the declared noise, and half-life of lambda
@@ -71,10 +83,11 @@ class FilteredRanges:
 class FilterSettings:
     """Settings of a distance filter."""
 
-    acceleration_noise: float = 1.5  # random walk of the speed, m/s per square root of a second; q is its square
+    models: ModelSettings = field(default_factory=ModelSettings)  # models of the motion
+    acceleration_noise: float = 1.5  # of the only model if `learns_noise` is off, m/s per square root of a second
     initial_rate_sigma_mps: float = 12.0  # of the rate of a new track if the ego speed is unknown
     target_speed_sigma_mps: float = 8.0  # of a new track's own speed if the ego speed is known: many targets are static
-    learns_noise: bool = True  # lambda is estimated from the innovations; otherwise it is 1
+    learns_noise: bool = True  # lambda and the model are estimated from the innovations; otherwise lambda is 1
     outlier_sigma: float = 3.0  # innovations beyond this number of standard deviations are down-weighted
     max_outliers: int = 3  # consecutive outliers that restart a track's filter
     max_gap_s: float = 1.0  # longest time without a measurement; the track is then NaN, and its filter restarts
@@ -112,7 +125,7 @@ class NoiseScale:
 
 
 class _FilterState(NamedTuple):
-    """State of the filters of M methods for N tracks, (M, N) each: the rows of `TrackState`, in this order."""
+    """State of the filters of M methods, G models, N tracks, (M, G, N) each: the rows of `TrackState` in this order."""
 
     d: FloatArray  # distance, m; NaN = new track
     v: FloatArray  # its rate, m/s
@@ -136,10 +149,11 @@ class _FilterState(NamedTuple):
     P_dr: FloatArray
     P_vr: FloatArray
     P_rr: FloatArray
+    weight: FloatArray  # probability of the model
 
 
 _N, _Z = np.array(np.nan), np.array(0.0)
-_NEW_TRACK = _FilterState(_N, _N, _Z, _Z, _Z, _N, _N, _N, _N, _Z, _Z, _N, _Z, _Z, _Z, _Z, _Z, _Z, _N, _Z, _Z, _Z)
+_NEW_TRACK = _FilterState._make([_N, _N, _Z, _Z, _Z, _N, _N, _N, _N, _Z, _Z, _N, *[_Z] * 6, _N, *[_Z] * 4])
 
 
 class DistanceFilters:
@@ -167,7 +181,12 @@ class DistanceFilters:
         self._methods = tuple(noise_shares)
         self._independent_fraction = np.array(list(noise_shares.values()))[:, None] ** 2  # of the variance
         self._noise_scale = NoiseScale(len(self._methods))
-        self._tracks = TrackState(np.repeat(np.array(_NEW_TRACK)[:, None], len(self._methods), axis=1))
+        models = self._settings.models
+        if not self._settings.learns_noise:
+            models = ModelSettings(acceleration_noises=(self._settings.acceleration_noise,), static_prior=0.0)
+        self._models = MotionModels(models, len(self._methods))
+        shape = (len(_NEW_TRACK), len(self._methods), len(self._models.q))
+        self._tracks = TrackState(np.broadcast_to(np.array(_NEW_TRACK)[:, None, None], shape).copy())
 
     @property
     def noise_shares(self) -> dict[str, float]:
@@ -187,6 +206,8 @@ class DistanceFilters:
         cut: CutBoxes | None = None,
         is_hidden: BoolArray | None = None,
         growth: Growth | None = None,
+        class_id: IntArray | None = None,
+        may_be_static: BoolArray | None = None,
     ) -> dict[str, FilteredRanges]:
         """Filtered ranges of every track at `time_s`, by method, after the measurements of this frame.
 
@@ -202,20 +223,28 @@ class DistanceFilters:
             cut: boxes of the tracks that the image border cuts; None = none is cut, and all are on the camera's axis.
             is_hidden: (N,) whether distances come from boxes with hidden sides (`have_hidden_sides`); None = none.
             growth: growth of the tracks in the images, not used of boxes that are cut; None = not measured.
+            class_id: (N,) road class of each track, whose motion is learnt; None = all are cars.
+            may_be_static: (N,) False = the track certainly moves; None = all may be static.
         """
         if by_method.keys().isdisjoint(self._methods):
             return {}
         settings, track_id = self._settings, next(iter(by_method.values())).track_id
         z, independent, systematic, valid = self._measured(by_method, len(track_id))
         last = _FilterState._make(self._tracks.get(track_id))
+        classes = np.full(len(track_id), _CAR) if class_id is None else class_id
+        is_ego_known = math.isfinite(ego_speed_mps)
+        models = self._models
+        prior = models.prior(classes, is_ego_known if may_be_static is None else is_ego_known & may_be_static)
 
         # Predict.
         dt = np.fmax(time_s - last.time_s, 0.0)  # 0 for a new track
-        dV = np.nan_to_num(ego_speed_mps - last.ego_mps)  # 0 if the ego speed was or is unknown
+        w_b = 0.0 if cut is None else np.nan_to_num(yaw_rad_s) * cut.bearing
+        ego_mps = ego_speed_mps - w_b * np.where(np.isnan(last.d), np.nan_to_num(z), last.d)
+        dV = np.nan_to_num(ego_mps - last.ego_mps)  # 0 if the ego speed was or is unknown
         dV_variance = np.where(
             dV == 0, 0.0, 2 * np.nan_to_num(ego_sigma_mps) ** 2 * -np.expm1(-dt / _EGO_CORRELATION_S)
         )
-        state, side, q = ConstantVelocity(*last[:5]), SideState(*last[13:18]), settings.acceleration_noise**2
+        state, side, q = ConstantVelocity(*last[:5]), SideState(*last[13:18]), models.q
         is_side = (side.P_kk > 0) if cut is None else (side.P_kk > 0) | cut.is_cut
         if cut is not None and is_side.any():
             state, side, edge_variance = side.predicted(state, cut, dt, q=q)
@@ -225,13 +254,25 @@ class DistanceFilters:
             side = side if cut is None else side._replace(q=np.broadcast_to(cut.q, dt.shape))
         d, v = state.x - dt * dV / 2, state.v - dV
         is_expired = (time_s - last.measured_s > settings.max_gap_s) | (d < _MIN_DISTANCE_M)
-        d[is_expired] = v[is_expired] = np.nan
-        P_dd, P_dv = state.P_xx + dt * dt / 4 * dV_variance, state.P_xv + dt / 2 * dV_variance
+        d, v = np.where(is_expired.any(axis=1, keepdims=True), np.nan, (d, v))
+        drift = _DRIFT * np.nan_to_num(np.minimum(last.systematic, _MAX_DRIFTING**2) * np.abs(last.d * last.v))
+        P_dd, P_dv = (
+            state.P_xx + dt * dt / 4 * dV_variance + dt * drift * settings.learns_noise,
+            state.P_xv + dt / 2 * dV_variance,
+        )
         P_vv = state.P_vv + dV_variance
-        key = KeyDistance(np.where(is_side, np.nan, last.r), *last[19:]).predicted(dt)
+        key = KeyDistance(np.where(is_side, np.nan, last.r), *last[19:22]).predicted(dt)
+        weight = models.predicted(last.weight, prior, dt)
+        joins = np.isnan(last.ego_mps) & is_ego_known & settings.learns_noise  # the ego speed was unknown
+        if joins.any():
+            weight = np.where(joins & (last.weight[:, :1] == 0), prior, weight)
+            joins = joins & models.is_static
+            v, P_dv = np.where(joins, -ego_mps, v), np.where(joins, 0.0, P_dv)
+            start_mps = models.start_sigma_mps(classes, 0.0, np.sqrt(np.nan_to_num(last.systematic)) * ego_mps)
+            P_vv = np.where(joins, start_mps**2, P_vv)
 
         # A change of condition: the step may be as large as the old and the new systematic error together.
-        condition, is_changed = last.condition, np.zeros_like(valid)
+        condition, is_changed = last.condition, np.zeros(d.shape, np.bool_)
         for name, code in (conditions or {}).items():
             i = self._methods.index(name)
             is_changed[i] = valid[i] & (code != condition[i]) & np.isfinite(d[i])
@@ -246,16 +287,21 @@ class DistanceFilters:
         nu = d * np.log(z / d)
         R = d * d * independent
         excess = np.abs(nu) / (settings.outlier_sigma * np.sqrt(P_dd + R))
+        excess = excess.min(axis=1, keepdims=True)  # of the model that expects the measurement most
         n_outliers = np.where(valid, (excess > 1) * (last.n_outliers + 1), last.n_outliers)
         is_lost = np.isnan(d) | (n_outliers >= settings.max_outliers)
         known, starts = valid & ~is_lost, valid & is_lost
         if settings.learns_noise:
             is_steady = time_s - steady_since_s >= settings.min_steady_s
-            self._noise_scale.learn(nu * nu, P_dd, noise=R, use=known & is_steady & ~is_side)
+            use = (known & is_steady & ~is_side)[:, 0]
+            expected = [np.where(use, mean_of(part, weight), np.nan) for part in (nu * nu, P_dd, R)]
+            self._noise_scale.learn(*expected[:2], noise=expected[2], use=use)
+            models.count(classes, np.where(use[:, None], weight, 0.0), dt)
 
         # Update.
         state = ConstantVelocity(d, v, P_dd, P_dv, P_vv)
         R = R * np.maximum(1.0, excess) ** 2
+        weight = models.updated(weight, nu, P_dd + R, valid=known)
         side, key = side.updated(state, nu, R, valid=known), key.updated(state, nu, R, valid=known)
         state = state.update(nu, R, valid=known)
         if growth is not None:
@@ -264,9 +310,12 @@ class DistanceFilters:
 
         # Restart.
         if starts.any():
-            is_ego_known = math.isfinite(ego_speed_mps)
-            rate_mps = -ego_speed_mps if is_ego_known else 0.0
-            rate_sigma_mps = settings.target_speed_sigma_mps if is_ego_known else settings.initial_rate_sigma_mps
+            rate_mps = -ego_mps if is_ego_known else np.zeros_like(ego_mps)
+            sigma_mps = settings.target_speed_sigma_mps if is_ego_known else settings.initial_rate_sigma_mps
+            rate_sigma_mps = np.asarray(sigma_mps)
+            if settings.learns_noise and is_ego_known:
+                rate_sigma_mps = models.start_sigma_mps(classes, sigma_mps, np.sqrt(systematic) * rate_mps)
+            weight = np.where(starts, prior, weight)
             initial: tuple[FloatArray | float, ...] = (z, rate_mps, z * z * independent, 0.0, rate_sigma_mps**2)
             state = ConstantVelocity(*(np.where(starts, *pair) for pair in zip(initial, state.columns, strict=True)))
             side = side._replace(P_dk=np.where(starts, 0.0, side.P_dk), P_vk=np.where(starts, 0.0, side.P_vk))
@@ -275,27 +324,27 @@ class DistanceFilters:
         if growth is not None:
             key = key.started(state, growth.is_key)
 
-        new = _FilterState(
-            *state.columns,
+        new = last._replace(
+            **dict(zip(_FilterState._fields, state.columns, strict=False)),
             systematic=np.where(valid, systematic, last.systematic),
-            time_s=np.full(valid.shape, time_s),
+            time_s=np.full(d.shape, time_s),
             measured_s=np.where(valid, time_s, last.measured_s),
-            ego_mps=np.full(valid.shape, ego_speed_mps),
+            ego_mps=ego_mps,
             n_outliers=n_outliers,
             condition=condition,
             steady_since_s=steady_since_s,
             is_hidden=hidden,
+            weight=weight,
             **side._asdict() | key._asdict(),
         )
         is_recent = time_s - _FilterState._make(self._tracks.known).measured_s <= settings.max_gap_s
-        self._tracks.put(track_id, np.array(new), keep_known=np.asarray(is_recent.any(axis=0)))
-        static_mps = np.nan_to_num(yaw_rad_s) * (0.0 if cut is None else cut.bearing) * state.x - ego_speed_mps
-        return self._filtered(new, by_method, time_s, static_mps, float(np.nan_to_num(ego_sigma_mps)))
+        self._tracks.put(track_id, np.array(new), keep_known=np.asarray(is_recent.any(axis=(0, 1))))
+        return self._filtered(new, by_method, time_s, ego_sigma_mps if is_ego_known else math.nan)
 
     def _measured(
         self, by_method: Mapping[str, Ranges], n: int
     ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
-        """Measurements of N tracks in one frame by M methods, (M, N) each; NaN = not measured.
+        """Measurements of N tracks in one frame by M methods, (M, 1, N) each; NaN = not measured.
 
         These are the distance, the variance R of log distance that is independent from frame to frame, with lambda, the
         variance that is constant over a track, and whether the track is measured.
@@ -314,37 +363,39 @@ class DistanceFilters:
         variance, factor = (sigma_m / distance_m) ** 2, self._noise_scale.factor
         # If the noise is smaller than declared, the remainder of sigma counts as systematic.
         systematic = (1 - fraction * np.minimum(factor, 1.0)) * variance
-        return distance_m, fraction * factor * variance, systematic, valid
+        return distance_m[:, None], (fraction * factor * variance)[:, None], systematic[:, None], valid[:, None]
 
     def _filtered(
-        self,
-        state: _FilterState,
-        by_method: Mapping[str, Ranges],
-        time_s: float,
-        static_mps: FloatArray,
-        ego_sigma_mps: float,
+        self, state: _FilterState, by_method: Mapping[str, Ranges], time_s: float, ego_sigma_mps: float
     ) -> dict[str, FilteredRanges]:
-        settings, now = self._settings, ConstantVelocity(*state[:5])
-        rated = with_static_hypothesis(
-            now,
-            state.systematic,
-            static_mps,
-            ego_sigma_mps=ego_sigma_mps,
-            own_sigma_mps=settings.target_speed_sigma_mps,
-        )
-        is_certain = np.minimum(now.P_vv, rated.P_vv) <= settings.max_rate_sigma_mps**2
-        is_certain &= time_s - state.steady_since_s >= settings.min_steady_s
-        rate_mps = np.where(is_certain, rated.v, np.nan)
-        sigma_m, rate_sigma_mps = np.sqrt(rated.P_xx), np.sqrt(np.where(is_certain, rated.P_vv, np.nan))
-        ttc_s, ttc_sigma_s = time_to_collision(now.x, rate_mps, variances=(rated.P_xx, rated.P_xv, rated.P_vv))
+        w, systematic = state.weight, state.systematic[:, 0]
+        d, v = mean_of(state.d, w), mean_of(state.v, w)
+        P_dd, P_dv = covariance_of(state.d, state.d, state.P_dd, w), covariance_of(state.d, state.v, state.P_dv, w)
+        P_vv = covariance_of(state.v, state.v, state.P_vv, w)
+
+        # Static objects come nearer with V, whatever their size; the speed of others has the error of their size.
+        is_static = self._models.is_static & np.isfinite(state.ego_mps)
+        static_P = self._settings.models.static_rate_sigma_mps**2 + np.nan_to_num(ego_sigma_mps) ** 2
+        true_v = np.where(is_static, -state.ego_mps, state.v)
+        true_P = np.where(is_static, static_P, state.P_vv + state.systematic * state.v**2)
+        is_steady = time_s - state.steady_since_s[:, 0] >= self._settings.min_steady_s
+        is_certain = (P_vv <= self._settings.max_rate_sigma_mps**2) & is_steady
+        rate_mps = np.where(is_certain, mean_of(true_v, w), np.nan)
+        rate_sigma_mps = np.where(is_certain, np.sqrt(covariance_of(true_v, true_v, true_P, w)), np.nan)
+        sigma_m = np.sqrt(P_dd + systematic * d**2)
+        ttc_s, ttc_sigma_s = time_to_collision(d, np.where(is_certain, v, np.nan), variances=(P_dd, P_dv, P_vv))
+        # The state has the rate of static objects, too, without the errors of sizes.
+        true_P = np.where(is_static, static_P, state.P_vv)
+        v, P_dv = mean_of(true_v, w), covariance_of(state.d, true_v, np.where(is_static, 0.0, state.P_dv), w)
+        P_vv = covariance_of(true_v, true_v, true_P, w)
         return {
             name: FilteredRanges(
-                Ranges(by_method[name].track_id, now.x[i], sigma_m[i]),
+                Ranges(by_method[name].track_id, d[i], sigma_m[i]),
                 rate_mps[i],
                 rate_sigma_mps[i],
                 ttc_s[i],
                 ttc_sigma_s[i],
-                ConstantVelocity(*(column[i] for column in now.columns)),
+                ConstantVelocity(d[i], v[i], P_dd[i], P_dv[i], P_vv[i]),
             )
             for i, name in enumerate(self._methods)
             if name in by_method

@@ -33,7 +33,7 @@ from typing import NamedTuple
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.foundation.arrays import BoolArray, FloatArray
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.foundation.track_state import TrackState
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -133,6 +133,10 @@ class LateralFilters:
         """Start without tracks; boxes are in the pixels of `camera` (undistorted)."""
         self._camera = camera
         self._tracks = TrackState(np.full(len(_LateralState._fields), np.nan))
+
+    def last(self, track_id: IntArray) -> ConstantVelocity:
+        """Lateral positions and speeds of the tracks (N,) in the last frame; NaN = unknown."""
+        return ConstantVelocity(*_LateralState._make(self._tracks.get(track_id))[:5])
 
     def update(
         self,

@@ -138,19 +138,24 @@ def test_constant_ego_speed_needs_no_sigma():
         tracker = OneFilter(max_rate_sigma_mps=9.0)
         for step in range(10):
             result = tracker.update(
-                measured([1], [40.0 - step], 0.4), step * 0.1, ego_speed_mps=10.0, ego_sigma_mps=ego_sigma_mps
+                measured([1], [40.0 - step], 0.4),
+                step * 0.1,
+                ego_speed_mps=10.0,
+                ego_sigma_mps=ego_sigma_mps,
+                may_be_static=np.array([False]),  # a static object has the sigma of the ego speed
             )
         results.append(np.array(result.state.columns))
     assert np.array_equal(results[0], results[1])
 
 
 def test_new_track_starts_as_a_static_target():
-    tracker = OneFilter(min_steady_s=0.0, max_rate_sigma_mps=99.0)
-    assert tracker.update(measured([1], [40.0]), 0.0, ego_speed_mps=12.0).rate_mps == [-12.0]
+    tracker, moves = OneFilter(min_steady_s=0.0, max_rate_sigma_mps=99.0), {"may_be_static": np.array([False])}
+    assert tracker.update(measured([1], [40.0]), 0.0, ego_speed_mps=12.0, **moves).rate_mps == [-12.0]
     unknown_ego = tracker.update(measured([1, 2], [np.nan, 30.0]), 0.1)
     assert unknown_ego.rate_mps == pytest.approx([-12.0, 0.0])
-    again = tracker.update(measured([1], [np.nan]), 0.2, ego_speed_mps=5.0)  # a change while unknown is not braking
-    assert (again.state.v[0], again.ranges.distance_m[0]) == pytest.approx((-12.0, 37.6))
+    # a change while unknown is not braking, of objects that are not static
+    again = tracker.update(measured([1], [np.nan]), 0.2, ego_speed_mps=5.0, **moves)
+    assert (again.rate_mps[0], again.ranges.distance_m[0]) == pytest.approx((-12.0, 37.6))
 
 
 def test_ttc_sigma_is_consistent_and_without_size_error():
@@ -306,10 +311,11 @@ def test_methods_are_filtered_independently():
 def test_step_to_a_hidden_box_is_not_motion(is_told):
     """A standing target whose distance steps by 8 % when a nearer box hides a part of it."""
     tracker, rates = OneFilter(noise_share=0.3), []
-    for step in range(30):
+    for step in range(36):  # a calm object settles slowly
         is_hidden = np.array([step >= 15])
         z = 30.0 * (1.08 if is_hidden[0] else 1.0)
         options = {"is_hidden": is_hidden} if is_told else {}
+        options["may_be_static"] = np.array([False])  # otherwise it is static in spite of the step
         result = tracker.update(measured([1], [z], sigma_m=0.08 * z), step * 0.1, ego_speed_mps=0.0, **options)
         rates.append(result.rate_mps[0])
     assert np.isfinite(rates[10:]).all()  # it is known all the time

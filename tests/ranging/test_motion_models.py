@@ -1,0 +1,118 @@
+"""Models of the motion of objects: static, calm and agile ones, with made-up distances."""
+
+import numpy as np
+import pytest
+
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.ranging.filtering.cut_boxes import CutBoxes
+from track_range.ranging.filtering.distance_filter import DistanceFilters
+from track_range.ranging.filtering.motion_models import ModelSettings, MotionModels, covariance_of, mean_of
+from track_range.ranging.ranges import Ranges
+
+CAR, PERSON, STEP_S, EGO_MPS = ROAD_CLASSES.index("car"), ROAD_CLASSES.index("person"), 0.1, 10.0
+
+
+def filtered(own_mps, *, size_error=0.0, noise=0.02, steps=25, seed=1, filters=None, **options):
+    """Filtered ranges of objects with these own speeds, 50 m away at the end; sizes are known to 8 %."""
+    own_mps, rng = np.asarray(own_mps, float), np.random.default_rng(seed)
+    ids = rng.integers(1, 10**9, len(own_mps))
+    filters = filters or DistanceFilters({"a": 0.6})
+    start_s = rng.uniform(0, 1e6)
+    for k in range(steps):
+        true_m = 50 + (own_mps - EGO_MPS) * STEP_S * (k + 1 - steps)
+        z = true_m * (1 + size_error) * np.exp(noise * rng.normal(size=len(ids)))
+        measured = Ranges(ids, z, np.hypot(noise, 0.08) * z, 0.08 * z)
+        given = {"ego_speed_mps": EGO_MPS, "class_id": np.full(len(ids), CAR), **options}
+        result = filters.update({"a": measured}, start_s + k * STEP_S, **given)["a"]
+    return result
+
+
+def test_closing_speed_of_a_static_object_is_that_of_the_ego_vehicle():
+    """A parked car that is 8 % larger than assumed: its rate is 8 % too large, but not its closing speed."""
+    static = filtered([0.0] * 20, size_error=0.08)
+    assert -static.rate_mps == pytest.approx(np.full(20, EGO_MPS), abs=0.35)
+    assert np.median(np.abs(static.rate_mps + EGO_MPS)) < 0.12
+    assert 0.15 < np.median(static.rate_sigma_mps) < 0.5
+    assert static.ttc_s == pytest.approx(np.full(20, 50.0 / EGO_MPS), rel=0.12)
+    unknown = filtered([0.0] * 20, size_error=0.08, ego_speed_mps=np.nan)
+    assert 0.4 < np.median(-unknown.rate_mps) - EGO_MPS < 1.2
+    assert (unknown.rate_sigma_mps > 0.8).all()
+
+
+def test_moving_objects_are_not_static():
+    moving = filtered([6.0, 14.0, -8.0, 5.0])
+    assert -moving.rate_mps == pytest.approx([4.0, -4.0, 18.0, 5.0], abs=1.8)
+    assert (moving.rate_sigma_mps > 0.3).all()
+
+
+def test_objects_that_move_across_are_not_static():
+    across = filtered([0.0] * 5, size_error=0.08, may_be_static=np.zeros(5, np.bool_))
+    assert (across.rate_sigma_mps > 0.8).all()
+    assert 0.3 < np.median(-across.rate_mps) - EGO_MPS < 1.2
+
+
+def test_static_objects_in_a_turn():
+    """Places at 50 m at which static objects come nearer with 12 and 7 m/s, since the camera turns by 0.2 rad/s."""
+    speeds, no, none = np.array([12.0, 7.0]), np.zeros(2, np.bool_), np.zeros(2)
+    bearing = (EGO_MPS - speeds) / (0.2 * 50.0)
+    cut = CutBoxes(is_cut=no, q=none, q_sigma=none, length_m=none + 4.0, bearing=bearing)
+    result = filtered(EGO_MPS - speeds, yaw_rad_s=0.2, cut=cut, steps=8, noise=0.005)
+    assert -result.rate_mps == pytest.approx(speeds, abs=0.3)
+    assert (result.rate_sigma_mps < 0.6).all()
+
+
+def test_sigma_is_true_for_parked_and_moving_objects():
+    """Half of the objects are parked, with errors of their sizes of 8 %."""
+    rng = np.random.default_rng(3)
+    in_sigmas = []
+    for seed in range(4):
+        own = np.where(rng.random(60) < 0.5, 0.0, rng.normal(6, 5, 60))
+        result = filtered(own, size_error=rng.normal(0, 0.06, 60), noise=0.03, steps=20, seed=seed)
+        in_sigmas.append((-result.rate_mps - (EGO_MPS - own)) / result.rate_sigma_mps)
+    in_sigmas = np.abs(np.concatenate(in_sigmas))
+    in_sigmas = in_sigmas[np.isfinite(in_sigmas)]
+    assert len(in_sigmas) > 120
+    assert 0.6 < np.mean(in_sigmas < 1) < 0.93
+    assert 0.92 < np.mean(in_sigmas < 2) < 0.999
+
+
+def test_a_class_learns_how_it_moves():
+    """A prior of half a minute: after vehicles that all move, the next one is less likely static, and conversely."""
+    models = MotionModels(ModelSettings())
+    cars, people = np.array([CAR]), np.array([PERSON])
+    before = models.prior(cars, True)[0, :, 0]
+    assert before == pytest.approx([0.7, 0.15, 0.15])
+    assert models.prior(people, True)[0, 0, 0] == pytest.approx(0.2)
+    models.count(cars, np.array([[[0.0], [0.0], [1.0]]]), np.full((1, 3, 1), 30.0))
+    assert models.prior(cars, True)[0, :, 0] == pytest.approx([7 / 40, 1.5 / 40, 31.5 / 40])
+    assert models.prior(people, True)[0, 0, 0] == pytest.approx(0.2)
+    assert models.prior(cars, False)[0, :, 0] == pytest.approx([0.0, 1.5 / 33, 31.5 / 33])
+
+
+def test_probabilities_follow_the_likelihoods():
+    """By Bayes' rule, with the exponent 1.5 of the evidence; innovations that are not valid change nothing."""
+    models = MotionModels(ModelSettings())
+    weight, nu, S = (np.array(values)[None, :, None] for values in ([0.5, 0.3, 0.2], [2.0, 1.0, 0.5], [1.0, 1.0, 4.0]))
+    expected = [0.5 * np.exp(-3.0), 0.3 * np.exp(-0.75), 0.2 * np.exp(-0.75 * 0.0625) / np.sqrt(8.0)]
+    updated = models.updated(weight, nu, S, valid=np.array([[[True]]]))
+    assert updated[0, :, 0] == pytest.approx(np.array(expected) / np.sum(expected))
+    assert models.updated(weight, nu, S, valid=np.array([[[False]]])) == pytest.approx(weight)
+
+
+def test_probabilities_return_to_the_prior():
+    models = MotionModels(ModelSettings())
+    prior, weight = models.prior(np.array([CAR]), True), np.array([0.0, 1.0, 0.0])[None, :, None]
+    soon = models.predicted(weight, prior, np.full((1, 3, 1), 4.0))[0, :, 0]
+    assert soon.sum() == pytest.approx(1.0)
+    assert 0.02 < soon[0] < 0.04  # 4 of 100 s
+    assert soon[2] == pytest.approx(0.5 * (1 - np.exp(-1.0)), abs=0.02)
+    late = models.predicted(weight, prior, np.full((1, 3, 1), 1e4))[0, :, 0]
+    assert late == pytest.approx(prior[0, :, 0], abs=1e-6)
+
+
+def test_moments_of_a_mixture():
+    """Equal parts of N(-1, 1) and N(3, 4): mean 1, variance 2.5 + 4."""
+    x, P, weight = (np.array(values)[None, :, None] for values in ([-1.0, 3.0], [1.0, 4.0], [0.5, 0.5]))
+    assert mean_of(x, weight) == pytest.approx(np.array([[1.0]]))
+    assert covariance_of(x, x, P, weight) == pytest.approx(np.array([[6.5]]))
+    assert covariance_of(x, -x, -P, weight) == pytest.approx(np.array([[-6.5]]))
