@@ -1,7 +1,7 @@
 """ObjectMotion: speed over ground, heading, world position and state of tracks, from distances and ego motion.
 
-    u = v + V        speed along the optical axis: the filtered rate v of the distance plus the ego speed V
-    x'               speed to the right of it over ground (`LateralFilters`, which removes the rotation of the camera)
+    u = v + V - w x    speed along the optical axis: filtered rate v of the distance, ego speed V, yaw rate w
+    x'                 speed to the right of it over ground (`LateralFilters`, which removes the rotation of the camera)
 
 Both have the variances A = f P_vv + s^2 v^2 + sigma_V^2 and B = f P_x'x' (P of the filters, s the systematic relative
 error of the distance, f since errors of filtered rates are correlated). A priori the odds of rest are r; three quarters
@@ -93,18 +93,24 @@ class ObjectMotion:
 
 
 def over_ground(
-    motion: FilteredRanges, lateral: LateralMotion, class_id: IntArray, *, ego_mps: float, ego_sigma_mps: float
+    motion: FilteredRanges,
+    lateral: LateralMotion,
+    class_id: IntArray,
+    *,
+    ego_mps: float,
+    ego_sigma_mps: float,
+    yaw_rad_s: float = math.nan,
 ) -> OverGround:
     """Motion over ground of N tracks of road classes `class_id` (N,), from their filtered distances and positions.
 
-    `motion` and `lateral` are of one frame; the lateral filter must know the yaw rate of the camera. Speeds are NaN
-    without an ego speed, and where their standard deviation is above 3 m/s.
+    `motion` and `lateral` are of one frame; the lateral filter must know the yaw rate of the camera, positive = to the
+    right, too. Speeds are NaN without an ego speed, and where their standard deviation is above 3 m/s.
     """
     d, v, x = motion.state.x, motion.state.v, lateral.state
     sigma_V = ego_sigma_mps if math.isfinite(ego_sigma_mps) else _UNKNOWN_EGO_SIGMA_MPS
     s2 = np.maximum(motion.ranges.sigma_m**2 - motion.state.P_xx, 0.0) / d**2
     A, B = _RATE_FACTOR * motion.state.P_vv + s2 * v**2 + sigma_V**2, _RATE_FACTOR * x.P_vv
-    u, right = v + ego_mps, x.v
+    u, right = v + ego_mps - np.nan_to_num(yaw_rad_s) * x.x, x.v
     is_person = class_id == _PERSON
     M = np.where(is_person, _WALKING_MPS, _MOVING_MPS)
     odds = np.where(is_person, _STANDING_ODDS, _PARKED_ODDS)
@@ -143,10 +149,12 @@ class ObjectMotions:
         *,
         ego_mps: float,
         ego_sigma_mps: float,
+        yaw_rad_s: float = math.nan,
         pose: EgoPose,
     ) -> ObjectMotion:
-        """Motion of N tracks (N,) of one frame at `time_s`, with the ego speed (NaN = unknown) and pose."""
-        ground = over_ground(motion, lateral, class_id, ego_mps=ego_mps, ego_sigma_mps=ego_sigma_mps)
+        """Motion of N tracks (N,) of one frame at `time_s`, with the ego speed (NaN = unknown), yaw rate and pose."""
+        ego = {"ego_mps": ego_mps, "ego_sigma_mps": ego_sigma_mps, "yaw_rad_s": yaw_rad_s}
+        ground = over_ground(motion, lateral, class_id, **ego)
         x_m, y_m = pose.to_world(motion.state.x, lateral.state.x)
         heading_rad = ground.heading_rad + pose.heading_rad
         heading_deg = np.degrees(np.arctan2(np.sin(heading_rad), np.cos(heading_rad)))

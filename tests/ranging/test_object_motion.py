@@ -50,6 +50,14 @@ def test_speed_is_the_rate_plus_the_ego_speed():
     )
 
 
+def test_rotation_of_the_camera_is_no_speed():
+    """In a turn to the right with 0.2 rad/s, a parked car 10 m to the right comes nearer 2 m/s more slowly."""
+    motion, lateral = motion_of([-8.0]), lateral_of([0.0], x_m=10.0)
+    given = {"ego_mps": EGO_MPS, "ego_sigma_mps": 0.05}
+    assert over_ground(motion, lateral, np.array([CAR]), **given, yaw_rad_s=0.2).speed_mps[0] < 0.1
+    assert over_ground(motion, lateral, np.array([CAR]), **given).speed_mps[0] > 1.5
+
+
 def test_an_object_at_rest_has_almost_no_speed():
     ground = ground_of([-10.3, -9.8], [0.05, -0.1])
     assert (ground.speed_mps < 0.15).all()

@@ -123,6 +123,7 @@ class FramePipeline:
                 frame.time_s,
                 ego_mps=ego_mps,
                 ego_sigma_mps=ego_sigma_mps,
+                yaw_rad_s=yaw_rad_s,
                 pose=pose,
             )
             warnings = safety = None

@@ -19,11 +19,11 @@ from track_range.pipeline.stages import FusionStage
 from track_range.ranging.evaluation.box_methods import MethodOptions, as_frames, box_methods, measured_by
 from track_range.ranging.evaluation.errors import MethodColumn
 from track_range.ranging.filtering.distance_filter import FilteredRanges, FilterSettings, time_to_collision
-from track_range.ranging.filtering.lateral_motion import LateralMotion
 from track_range.ranging.filtering.look_ahead import combined
 from track_range.ranging.filtering.static_objects import with_static_hypothesis
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.warning.collision_warning import CollisionWarning
+from track_range.ranging.world.object_motion import over_ground
 from track_range.stereo.odometry.ego_motion import EgoMotion
 
 EGO_SIGMA_MPS = 0.05  # standard deviation of the ego speed, that of a wheel sensor
@@ -74,7 +74,15 @@ def measured_motion(
         alarm = warning.update(tracks, state, lateral, frame.time_s, ego_mps=ego.speed_mps, yaw_rad_s=ego.yaw_rad_s)
         distance_m[rows], ttc_s[rows] = state.ranges.distance_m, state.ttc_s
         closing_mps[rows], sigma_mps[rows] = -state.rate_mps, state.rate_sigma_mps
-        speed_mps[rows], speed_sigma_mps[rows] = _ground_speed(state, lateral, ego)
+        ground = over_ground(
+            state,
+            lateral,
+            tracks.class_id,
+            ego_mps=ego.speed_mps,
+            ego_sigma_mps=ego.speed_sigma_mps,
+            yaw_rad_s=ego.yaw_rad_s,
+        )
+        speed_mps[rows], speed_sigma_mps[rows] = ground.speed_mps, ground.sigma_mps
         offset_m[rows], is_alarm[rows] = alarm.path_offset_m, alarm.active
         states[:, rows] = _state(state)
     if look_ahead:
@@ -121,17 +129,3 @@ def _with_look_ahead(
 def _ranges(column: MethodColumn, rows: IntArray, track_id: IntArray) -> Ranges:
     systematic_m = None if column.sigma_systematic_m is None else column.sigma_systematic_m[rows]
     return Ranges(track_id, column.distance_m[rows], column.sigma_m[rows], systematic_m)
-
-
-def _ground_speed(state: FilteredRanges, lateral: LateralMotion, ego: EgoMotion) -> tuple[FloatArray, FloatArray]:
-    """(N,) speeds over ground of the tracks and their standard deviations, where the closing speed is known.
-
-    The speeds along the axes of the camera are z' + V - w x and u, which does not contain the yaw rate w.
-    """
-    w = 0.0 if math.isnan(ego.yaw_rad_s) else ego.yaw_rad_s
-    along_mps, across_mps = state.rate_mps + ego.speed_mps - w * lateral.state.x, lateral.state.v
-    speed_mps = np.hypot(along_mps, across_mps)
-    variances = state.rate_sigma_mps**2 + ego.speed_sigma_mps**2, lateral.state.P_vv
-    # to first order along the direction of motion; near zero, where it is unknown, both components count
-    weights = (np.stack([along_mps, across_mps]) ** 2 + np.stack(variances)) / (speed_mps**2 + sum(variances))
-    return speed_mps, np.sqrt((weights * np.stack(variances)).sum(axis=0))
