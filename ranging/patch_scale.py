@@ -48,7 +48,7 @@ _CONVERGED = 0.01, 0.5  # largest last step of s: absolute, or in standard devia
 _FIT, _FLOOR_PX, _DEPTH = 2.0, 0.05, 0.05  # see above
 _MAX_AGE_S, _MAX_LOG_RATIO = 1.0, 0.25  # longest time since the key frame, and largest growth since then
 _SMALL = 0.01  # steps of all patches, in points of the grid, that end the iterations
-_INTERVAL_S = 0.09  # shortest time between two measurements of a track
+_INTERVALS_S = 0.09, 0.19  # between two measurements of a track, after its key frame and later: their errors are alike
 _MAX_GAP_S = 0.5  # longest time without a measurement
 
 _LINE = np.linspace(-1.0, 1.0, _GRID, dtype=np.float32)
@@ -143,7 +143,7 @@ class PatchScales:
         is_usable = tracks.observed & (sides_px >= _MIN_SIDE_PX).all(axis=1) & (pyramid.n_levels > 0)
         state = self._tracks.get(tracks.track_id)
         last = _Key.of(state)
-        is_usable &= ~(time_s - last.time_s < _INTERVAL_S)
+        is_usable &= ~(time_s - last.time_s < np.where(last.time_s == last.key_s, *_INTERVALS_S))
         rows = np.flatnonzero(is_usable & (time_s - last.time_s <= _MAX_GAP_S))
         if len(rows):
             key = _Key.of(state[:, rows])

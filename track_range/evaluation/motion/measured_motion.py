@@ -18,9 +18,8 @@ from track_range.foundation.errors import UsageError
 from track_range.pipeline.stages import FusionStage
 from track_range.ranging.evaluation.box_methods import MethodOptions, as_frames, box_methods, measured_by
 from track_range.ranging.evaluation.errors import MethodColumn
-from track_range.ranging.filtering.distance_filter import FilteredRanges, FilterSettings, time_to_collision
+from track_range.ranging.filtering.distance_filter import FilteredRanges, time_to_collision
 from track_range.ranging.filtering.look_ahead import combined
-from track_range.ranging.filtering.static_objects import with_static_hypothesis
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.ranging.world.object_motion import over_ground
@@ -98,10 +97,11 @@ def _ego(motion: LabelledMotion, row: int, sign: float = 1.0) -> EgoMotion:
 
 
 def _state(filtered: FilteredRanges) -> FloatArray:
-    """(6, N) columns of the state of the filter, and relative variance of the systematic error."""
+    """(6, N) columns of the state of the filter, and variance of the rate by the systematic error of the distance."""
     state = filtered.state
-    systematic = (filtered.ranges.sigma_m**2 - state.P_xx) / state.x**2
-    return np.stack([*state.columns, np.maximum(systematic, 0.0)])
+    by_size = (filtered.ranges.sigma_m**2 - state.P_xx) * (state.v / state.x) ** 2
+    known = filtered.rate_sigma_mps**2 - state.P_vv  # less than by size if the object may be static
+    return np.stack([*state.columns, np.maximum(np.where(np.isfinite(known), known, by_size), 0.0)])
 
 
 def _with_look_ahead(
@@ -117,13 +117,9 @@ def _with_look_ahead(
         before = replace(frame, time_s=-frame.time_s)
         backward[:, rows] = _state(stage.update(before, tracks, ranges, _ego(motion, rows[0], -1.0))[0])
     state = combined(ConstantVelocity(*forward[:5]), ConstantVelocity(*backward[:5]))
-    static_mps = np.nan_to_num(motion.yaw_rad_s) * boxes.bearing * state.x - motion.ego_mps
-    own_sigma_mps = FilterSettings().target_speed_sigma_mps
-    rated = with_static_hypothesis(
-        state, forward[5], static_mps, ego_sigma_mps=EGO_SIGMA_MPS, own_sigma_mps=own_sigma_mps
-    )
-    ttc_s, _ = time_to_collision(rated.x, rated.v, variances=(rated.P_xx, rated.P_xv, rated.P_vv))
-    return rated.v, np.sqrt(rated.P_vv), ttc_s
+    systematic = np.fmin(forward[5], backward[5])
+    ttc_s, _ = time_to_collision(state.x, state.v, variances=(state.P_xx, state.P_xv, state.P_vv))
+    return state.v, np.sqrt(state.P_vv + systematic), ttc_s
 
 
 def _ranges(column: MethodColumn, rows: IntArray, track_id: IntArray) -> Ranges:
