@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from glob import glob, has_magic
 from pathlib import Path
+from typing import Literal
 
 from track_range.foundation.files.input_files import counted
 from track_range.recording.live.address import LiveAddress, live_address
@@ -32,17 +33,50 @@ class BagTopic:
         return str(self.path) if self.topic is None else f"{self.path} ({self.topic})"
 
 
-RecordedName = Path | Segments | BagTopic
-"""A video file, folder, pattern such as `DIR/*_F.mp4`, several files, or a topic of a bag."""
+StereoLayout = Literal["side-by-side", "right-left", "top-bottom", "bottom-top", "tracks"]
+"""Where a recording of two cameras has their images: beside or below each other, the left camera's first or second, or
+in two video tracks."""
 
-VideoName = Path | LiveAddress | Segments | BagTopic  # any source of one camera's images
+LayoutOption = Literal["auto", "side-by-side", "right-left", "top-bottom", "bottom-top", "tracks"]
+
+
+@dataclass(frozen=True, slots=True)
+class VideoTrack:
+    """One of several video tracks of the files of a recording, counted from 0 without cover art and previews."""
+
+    recording: Path | Segments
+    number: int
+
+    def __str__(self) -> str:
+        return f"{self.recording} (video track {self.number})"
+
+
+WholeName = Path | LiveAddress | Segments | BagTopic  # a source of all images of a recording
+
+
+@dataclass(frozen=True, slots=True)
+class Half:
+    """The images of one camera in a recording whose images show those of both."""
+
+    recording: WholeName
+    layout: StereoLayout
+    is_right: bool
+
+    def __str__(self) -> str:
+        return f"{self.recording} ({'right' if self.is_right else 'left'} camera)"
+
+
+RecordedName = Path | Segments | BagTopic | VideoTrack | Half
+"""A video file, folder, pattern such as `DIR/*_F.mp4`, several files, a topic of a bag, or a part of these."""
+
+VideoName = WholeName | VideoTrack | Half  # any source of one camera's images
 
 
 def video_name(name: str | VideoName | Sequence[str | Path]) -> VideoName:
     """The source or pattern with this name, or several files; raises ValueError for none, or live ones in them."""
     if isinstance(name, str):
         return live_address(name) or Path(name)
-    if isinstance(name, Path | LiveAddress | Segments | BagTopic):
+    if isinstance(name, Path | LiveAddress | Segments | BagTopic | VideoTrack | Half):
         return name
     names = [video_name(part) for part in name]
     paths = tuple(part for part in names if isinstance(part, Path))
@@ -63,6 +97,8 @@ def matching_files(pattern: Path) -> list[Path]:
 
 def files_of(name: VideoName) -> list[Path]:
     """Files and folders that a name denotes; none for a live source."""
+    if isinstance(name, VideoTrack | Half):
+        return files_of(name.recording)
     if isinstance(name, Segments):
         return list(name.paths)
     if isinstance(name, BagTopic):
@@ -74,6 +110,8 @@ def files_of(name: VideoName) -> list[Path]:
 
 def stem_of(name: VideoName) -> str:
     """Stem of file names for a recording: that of its first file, or for a pattern the name of the folder."""
+    if isinstance(name, VideoTrack | Half):
+        return stem_of(name.recording)
     if isinstance(name, LiveAddress):
         return name.stem
     path = name.paths[0] if isinstance(name, Segments) else name.path if isinstance(name, BagTopic) else name

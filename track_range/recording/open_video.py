@@ -11,7 +11,9 @@ from track_range.recording.bags.bag_video import BagVideo
 from track_range.recording.files.image_folder import ImageFolder
 from track_range.recording.files.video_file import VideoFile
 from track_range.recording.frame import VideoError
-from track_range.recording.names import BagTopic, RecordedName, Segments
+from track_range.recording.live.address import LiveAddress
+from track_range.recording.names import BagTopic, Half, RecordedName, Segments, VideoTrack
+from track_range.recording.pairs.video_half import VideoHalf
 from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.segments.segmented_video import SegmentedVideo, segment_files
 
@@ -32,7 +34,12 @@ def open_video(
     `folder_fps` is the frame rate of a folder without timestamps.txt. Raises VideoError if the path does not exist or
     is no video, nothing can be decoded, or the images are too small.
     """
-    video = _opened(name, folder_fps, left)
+    if isinstance(name, Half):
+        if isinstance(name.recording, LiveAddress):
+            raise VideoError(f"{name}: expected a recording, found a live source.")
+        video: RecordedVideo = VideoHalf(_opened(name.recording, folder_fps, left), name)
+    else:
+        video = _opened(name, folder_fps, left)
     if min(video.width_px, video.height_px) < _MIN_SIDE_PX:
         video.close()
         raise VideoError(
@@ -43,7 +50,10 @@ def open_video(
     return video
 
 
-def _opened(name: RecordedName, folder_fps: float, left: RecordedVideo | None) -> RecordedVideo:
+def _opened(
+    named: Path | Segments | BagTopic | VideoTrack, folder_fps: float, left: RecordedVideo | None
+) -> RecordedVideo:
+    name, track = (named.recording, named.number) if isinstance(named, VideoTrack) else (named, None)
     if isinstance(name, Path) and is_bag(name):
         name = BagTopic(name, None)
     if isinstance(name, BagTopic):
@@ -55,9 +65,9 @@ def _opened(name: RecordedName, folder_fps: float, left: RecordedVideo | None) -
     except OSError as error:
         raise VideoError(f"{name}: cannot be read ({describe(error)}); check its permissions.") from error
     if files is not None and (len(files) > 1 or isinstance(name, Segments)):
-        return SegmentedVideo(name, files, left=left if isinstance(left, SegmentedVideo) else None)
+        return SegmentedVideo(name, files, left=left if isinstance(left, SegmentedVideo) else None, track=track)
     if files:
-        return VideoFile(files[0])
+        return VideoFile(files[0], track)
     if isinstance(name, Segments):
         raise VideoError(f"{name}: expected video files, found none.")
     if name.is_fifo():
@@ -65,4 +75,4 @@ def _opened(name: RecordedName, folder_fps: float, left: RecordedVideo | None) -
             f"{name}: expected a video file, found a named pipe; give a stream by its address, such as "
             "udp://127.0.0.1:5000, or record it to a file first."
         )
-    return ImageFolder(name, fps=folder_fps) if name.is_dir() else VideoFile(name)
+    return ImageFolder(name, fps=folder_fps) if name.is_dir() else VideoFile(name, track)

@@ -10,8 +10,9 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
+from track_range.foundation.arrays import Image
 from track_range.recording.frame import VideoError, VideoFrame
-from track_range.recording.names import RecordedName
+from track_range.recording.names import RecordedName, StereoLayout
 from track_range.recording.threads import DECODER_THREADS
 from track_range.recording.utc import UtcStart
 from track_range.stereo.geometry.camera import pixel_aspect_of, square_size
@@ -48,7 +49,10 @@ class RecordedVideo(ABC):
     n_total: int | None  # estimated number of frames of the whole recording; None = unknown
     # tags in the header of a single video file, and of its video stream; empty for other recordings
     metadata: Mapping[str, str] = {}
-    is_upright_file = False  # whether this is one video file that stores its images as shown, without a rotation
+    tracks_px: tuple[tuple[int, int], ...] = ()  # (width, height) of the video tracks of a file; empty for others
+    stated_layout: StereoLayout | None = None  # where the images have those of two cameras; None = not stated
+    first_image: Image | None = None  # as long as it is needed
+    is_upright_file = False  # whether this is the first track of a video file, stored without a rotation
     # time spent reading and decoding so far: CPU time of this thread, or wall time with several threads of FFmpeg
     busy_s = 0.0
     _part_s: tuple[float, float] | None = None  # file times

@@ -6,7 +6,7 @@ open the videos -> find and check the calibration -> check and align with the fi
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,7 +23,16 @@ from track_range.recording.cameras.calibration import (
 from track_range.recording.frame import VideoError
 from track_range.recording.live.address import LiveAddress
 from track_range.recording.live.live_video import LiveVideo
-from track_range.recording.names import BagTopic, VideoName, video_name
+from track_range.recording.names import (
+    BagTopic,
+    Half,
+    LayoutOption,
+    Segments,
+    StereoLayout,
+    VideoName,
+    VideoTrack,
+    video_name,
+)
 from track_range.recording.open_video import open_video
 from track_range.recording.pairs.auto_alignment import (
     ESTIMATION_SPAN_S,
@@ -32,8 +41,10 @@ from track_range.recording.pairs.auto_alignment import (
     given_alignment,
 )
 from track_range.recording.pairs.live_pair import LivePair
+from track_range.recording.pairs.packed_pair import PackedPair
 from track_range.recording.pairs.pair_monitor import PairMonitor
 from track_range.recording.pairs.recorded_pair import RecordedPair
+from track_range.recording.pairs.stereo_layout import find_layout, mono_notes, stereo_tracks
 from track_range.recording.pairs.sync_monitor import PERIOD, SyncMonitor
 from track_range.recording.pairs.video_pair import VideoPair
 from track_range.recording.recorded_video import RecordedVideo
@@ -47,7 +58,7 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
 
-PairedVideos = RecordedPair | LivePair
+PairedVideos = RecordedPair | LivePair | PackedPair
 Monitor = PairMonitor | SyncMonitor | DriftMonitor  # a check that receives each frame once, in order of time
 
 _UNSTEADY = "not measured, since rows of left and right change, as in images of different times"
@@ -64,6 +75,7 @@ class Recording:
     source: Video | PairedVideos  # the opened video, or two, paired by time
     calibration: RecordingCalibration  # the camera models
     monitors: tuple[Monitor, ...]  # the checks of a pair that continue while its frames are iterated
+    layout_notes: tuple[str, ...] = ()  # about images of two cameras in one recording
     start_utc: UtcStart | None = None  # UTC of the first frame as given by the user; None = that of the video
 
     @property
@@ -103,8 +115,9 @@ class Recording:
 
     @property
     def live(self) -> LiveVideo | None:
-        """The left video if it is a camera or a stream, else None."""
-        return self.videos[0] if isinstance(self.videos[0], LiveVideo) else None
+        """The left video if it is a camera or a stream, or the one of both cameras, else None."""
+        video = self.source.whole if isinstance(self.source, PackedPair) else self.videos[0]
+        return video if isinstance(video, LiveVideo) else None
 
     @property
     def busy_s(self) -> float:
@@ -131,6 +144,7 @@ class Recording:
         """Messages for the user about the recording; complete only after the last frame."""
         utc = self.utc
         sources = (
+            self.layout_notes,
             self.calibration.notes,
             *(video.notes for video in self.videos),
             self.source.notes if isinstance(self.source, VideoPair) else (),
@@ -160,6 +174,8 @@ def open_recording(
     has_checks: bool = True,
     start_utc: str | None = None,
     topics: Sequence[str] = (),
+    stereo_layout: LayoutOption | None = None,
+    track: int | None = None,
     progress: StepProgress = no_progress,
 ) -> Recording:
     """Open one video or a pair for one pass over its rectified frames.
@@ -167,7 +183,7 @@ def open_recording(
     Args:
         left: video file, several files of one recording, folder of such files or of numbered images, camera (0,
             /dev/video0) or stream (rtsp://...).
-        right: the same; None = one camera.
+        right: the same; None = one camera, or with `stereo_layout` two in one recording, as `right` = `left`.
         rig: calibration file: rig.yaml, KITTI's calib.txt, OpenCV's or Kalibr's; or the models of two cameras, of which
             one video has the left one; None = a file next to `left`, if any.
         focal_px: focal length of cameras without a calibration file.
@@ -184,6 +200,9 @@ def open_recording(
             that lag are re-paired.
         start_utc: UTC of the left video's first frame, in ISO 8601; None = from the video.
         topics: topics of the images of the left and right camera, if `left` and `right` are MCAP files or ROS bags.
+        stereo_layout: where the images of one recording have those of two cameras: "side-by-side", "right-left",
+            "top-bottom", "bottom-top", "tracks" (two video tracks), or "auto" = found out.
+        track: video track of the files of one camera, counted from 0; None = the largest one.
         progress: shows the progress of the alignment's estimation.
 
     Raises:
@@ -199,7 +218,8 @@ def open_recording(
         (0, 0.0, False)
         >>> recording.close()
     """
-    left, right = _with_topics(video_name(left), None if right is None else video_name(right), topics)
+    left, right = _named(video_name(left), None if right is None else video_name(right), topics, track)
+    is_packed = right == left or (right is None and stereo_layout is not None)
     utc = None if start_utc is None else parsed_utc(start_utc)
 
     def opened(name: VideoName, beside: Video | None = None) -> Video:
@@ -209,19 +229,27 @@ def open_recording(
         return open_video(name, folder_fps=folder_fps, start_s=start_s, duration_s=duration_s, left=left_video)
 
     with ExitStack() as on_error:
-        videos: tuple[Video, ...] = (opened(left),)
-        on_error.callback(videos[0].close)
-        source: Video | PairedVideos = videos[0]
-        if right is not None:
-            videos = *videos, opened(right, beside=videos[0])
-            on_error.callback(videos[1].close)
-            source = _paired(*videos)
-            on_error.callback(source.close)
+        video = opened(left)
+        on_error.callback(video.close)
+        source: Video | PairedVideos = video
+        layout_notes = tuple[str, ...]()
+        if is_packed:
+            chosen = find_layout(video, stereo_layout or "auto")
+            source, layout_notes = _packed(video, left, chosen.layout, opened), (chosen.sentence(str(left)),)
+        elif right is not None:
+            other = opened(right, beside=video)
+            on_error.callback(other.close)
+            source = _paired(video, other)
+        elif not isinstance(left, Half):
+            layout_notes = mono_notes(video)
+        video.first_image = None
+        on_error.callback(source.close)
+        videos = (source.left, source.right) if isinstance(source, VideoPair) else (source,)
         given_rig, view = Path(rig) if isinstance(rig, str) else rig, LensView(fov_deg, yaw_deg)
         calibration = find_calibration(left, videos, rig=given_rig, focal_px=focal_px, view=view)
         monitors: tuple[Monitor, ...] = ()
         if isinstance(source, VideoPair) and calibration.rig is not None:
-            check = PairMonitor(calibration.rig) if has_checks else None
+            check = PairMonitor(calibration.rig, is_packed=is_packed) if has_checks else None
             calibration = _aligned(calibration, calibration.rig, source, align, check, progress)
             monitors = () if check is None else (check,)
             if has_checks and calibration.rig is not None:
@@ -236,7 +264,19 @@ def open_recording(
                 calibration = calibration.with_row_offset(check.row_offset_px)
                 monitors = _sync_monitors(source)
         on_error.pop_all()
-    return Recording(_frames(source, calibration, monitors, utc), source, calibration, monitors, utc)
+    return Recording(_frames(source, calibration, monitors, utc), source, calibration, monitors, layout_notes, utc)
+
+
+def _packed(
+    whole: Video, name: VideoName, layout: StereoLayout, opened: Callable[..., Video]
+) -> PackedPair | RecordedPair | LivePair:
+    """The pair in the images, or the video tracks, of one recording."""
+    if layout != "tracks" and not isinstance(name, VideoTrack | Half):
+        return PackedPair(whole, name, layout)
+    whole.close()
+    tracks = [VideoTrack(name, number) for number in stereo_tracks(whole)[:2] if isinstance(name, Path | Segments)]
+    left = opened(tracks[0])
+    return _paired(left, opened(tracks[1], beside=left))
 
 
 def _paired(left: Video, right: Video) -> RecordedPair | LivePair:
@@ -250,10 +290,16 @@ def _paired(left: Video, right: Video) -> RecordedPair | LivePair:
     )
 
 
-def _with_topics(left: VideoName, right: VideoName | None, topics: Sequence[str]) -> tuple[VideoName, VideoName | None]:
+def _named(
+    left: VideoName, right: VideoName | None, topics: Sequence[str], track: int | None
+) -> tuple[VideoName, VideoName | None]:
     """The names, bags with topics; raises VideoError if a video is no bag, or the number of topics does not fit."""
+    if track is not None and isinstance(left, Path | Segments) and right is None:
+        return VideoTrack(left, track), None
     if not topics:
         return left, right
+    if len(topics) == 1 and right == left:
+        topics = (*topics, *topics)
     names = [left] if right is None else [left, right]
     if len(names) != len(topics):
         raise VideoError(
@@ -305,12 +351,12 @@ def _drift_monitors(calibration: RecordingCalibration, pair: PairedVideos) -> tu
     """The monitor of a recorded pair whose alignment was measured; none for streams, which it would delay."""
     alignment = calibration.alignment
     monitor = None if alignment is None or calibration.rig is None else alignment.drift_monitor(calibration.rig)
-    return () if monitor is None or isinstance(pair, LivePair) else (monitor,)
+    return () if monitor is None or pair.is_live else (monitor,)
 
 
 def _sync_monitors(pair: PairedVideos, *, period: int = PERIOD) -> tuple[SyncMonitor]:
     """The monitor that re-pairs frames; those of streams do not wait for others."""
-    return (SyncMonitor(0 if isinstance(pair, LivePair) else FRAMES_AHEAD, period),)
+    return (SyncMonitor(0 if pair.is_live else FRAMES_AHEAD, period),)
 
 
 def _first_frames(

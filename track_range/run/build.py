@@ -54,6 +54,8 @@ def open_input(settings: RunSettings, progress: StepProgress = no_progress, rig:
         folder_fps=settings.folder_fps,
         start_utc=settings.start_utc,
         topics=settings.topics,
+        stereo_layout=settings.stereo_layout,
+        track=settings.track,
         progress=progress,
     )
 

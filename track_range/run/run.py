@@ -123,7 +123,8 @@ class Run:
 
         Args:
             left: recording of the left camera; a list of files if it consists of several.
-            right: recording of the right camera; None = `left` is a bag, with `topics=("/left", "/right")`.
+            right: recording of the right camera; None = `left` has the images of both, with `stereo_layout`, by
+                default "auto", or is a bag, with `topics=("/left", "/right")`.
             options: options of `track-range run`, with underscores: `rig="rig.yaml"`, `detector="yolov5n.onnx"`,
                 `align="off"`, `sgbm=False`, `out="results"`. `detector` and `tracker` may also be objects with
                 `detect` and `update`, `rig` a `StereoRig`; `progress` shows progress bars.

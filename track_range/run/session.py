@@ -28,7 +28,7 @@ from track_range.ranging.evaluation.truth import read_truth
 from track_range.ranging.region import Region, region_at
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.size_model import SizeModel
-from track_range.recording.names import BagTopic
+from track_range.recording.live.address import LiveAddress
 from track_range.recording.telemetry.positions import has_position
 from track_range.recording.telemetry.speed_source import AUTO, open_speed
 from track_range.recording.telemetry.track import TelemetryTrack
@@ -137,9 +137,9 @@ class RunSession:
 
     def _estimate_focal_length(self, size_model: SizeModel, progress: StepProgress) -> None:
         """Estimate the unknown focal length of a recording that is not live from the boxes in its first seconds."""
-        recording, settings, video = self.recording, self.settings, self.settings.left
+        recording, settings, video = self.recording, self.settings, self.recording.videos[0].path
         guesses = recording.calibration.guesses
-        if not guesses or recording.live is not None or (settings.topics and not isinstance(video, BagTopic)):
+        if not guesses or recording.live is not None or isinstance(video, LiveAddress):
             return
         with progress("estimating the focal length") as advance:
             posterior = focal_from_video(

@@ -242,7 +242,15 @@ _CONTRADICTIONS: tuple[tuple[Callable[[RunSettings], bool], str], ...] = (
     (lambda run: len(run.videos) == 0, "give either --stereo LEFT RIGHT or --mono VIDEO"),
     (lambda run: None not in (run.stereo, run.mono), "give either --stereo LEFT RIGHT or --mono VIDEO"),
     (lambda run: len(run.videos) == 1 and len(run.topics) > 1, "--topics: expected 1 topic, got {n}"),
-    (lambda run: len(run.videos) > 1 and len(run.topics) not in (0, 2), "--topics: expected 2 topics, got {n}"),
+    (
+        lambda run: len(run.videos) > 1 and len(run.topics) not in ((0, 1, 2) if run.has_both_in_one else (0, 2)),
+        "--topics: expected 2 topics, got {n}",
+    ),
+    (
+        lambda run: run.stereo_layout is not None and not run.has_both_in_one,
+        "--stereo-layout needs --stereo with one recording of both cameras; omit the option, or the right video",
+    ),
+    (lambda run: run.track is not None and run.mono is None, "--track needs --mono; two tracks are --stereo FILE"),
     (
         lambda run: len(run.topics) > 1 and len({*zip(run.videos, run.topics, strict=True)}) == 1,
         "--topics: expected the topics of two cameras, got {topic} twice",

@@ -369,8 +369,8 @@ def test_settings_of_a_bag(tmp_path: Path, images: list[np.ndarray]) -> None:
     again = settings_from({}, tmp_path / "settings.yaml")
     assert (again.stereo, again.topics) == (settings.stereo, ("/left/image", "/right/image"))
     for given in (
-        {"stereo": (str(bag),), "topics": "/left/image"},
-        {"stereo": ("film.mp4",)},
+        {"stereo": (str(bag), "other.mcap"), "topics": "/left/image"},
+        {"stereo": ("film.mp4",), "topics": "/a,/b,/c"},
         {"mono": "a", "topics": "b,c"},
     ):
         with pytest.raises(UsageError):

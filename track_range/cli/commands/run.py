@@ -143,7 +143,7 @@ def _ignore_broken_pipe() -> Iterator[None]:
 
 
 class RunCommand(HelpCommand):
-    """Command with the option --stereo, which takes two videos or one bag, and may be repeated."""
+    """Command with the option --stereo, which takes one or two videos, and may be repeated."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the command line with one value for each `--stereo`; see `_split_pairs`."""
@@ -177,7 +177,7 @@ def _with_sources(given: dict[str, Any]) -> dict[str, Any]:
         sources["mono"] = files[0] if len(files) == 1 else files
     if sides := given.get("stereo"):
         left, right = sides[0::2], [side for side in sides[1::2] if side]
-        if len(left) > 1 and len(right) < len(left):
+        if len(left) > 1 and 0 < len(right) < len(left):
             raise UsageError("--stereo: expected LEFT and RIGHT each time, found a single value.")
         pair = (left, right) if right else (left,)
         sources["stereo"] = tuple(side[0] if len(side) == 1 else side for side in pair)

@@ -142,7 +142,9 @@ class _ClipRun:
         settings = settings.model_copy(update={"out": run_folder, "write": tuple(names)})
         start_s = time.perf_counter()
         progress.phase = "opening"
-        header = next(check_clips([clip], folder_fps=settings.folder_fps, threads=1))
+        header = next(
+            check_clips([clip], folder_fps=settings.folder_fps, stereo_layout=settings.stereo_layout, threads=1)
+        )
         stated_s = header.duration_s or 0.0
         if settings.duration_s is not None:
             stated_s = min(stated_s, settings.duration_s)
@@ -222,7 +224,8 @@ def clip_settings(options: Mapping[str, Any], clip: Clip) -> RunSettings:
     """
     video: dict[str, Any] = {"mono": clip.left} if clip.right is None else {"stereo": (clip.left, clip.right)}
     own: dict[str, Any] = dict(clip.settings)
-    if len([topic for topic in str(own.get("topics", "")).split(",") if topic]) > 1 and clip.right is None:
+    n_topics = len([topic for topic in str(own.get("topics", "")).split(",") if topic])
+    if clip.right is None and (n_topics > 1 or "stereo_layout" in {**options, **own}):
         video = {"stereo": (clip.left,)}
     shared = {key: value for key, value in options.items() if not (key == "focal_px" and "rig" in own)}
     return settings_from({**shared, **video, **own})

@@ -187,7 +187,8 @@ def _validated(options: Mapping[str, Any]) -> RunSettings:
     topics = options.get("topics") or ()
     n_topics = len(topics.split(",")) if isinstance(topics, str) else len(topics) if isinstance(topics, Sized) else 0
     is_pair = options.get("disparity") or options.get("overlay_disparity") or n_topics > 1
-    return settings_from({**options, **({"stereo": ("left.mp4", "right.mp4")} if is_pair else {"mono": "clip.mp4"})})
+    video = {"stereo": ("left.mp4", "right.mp4")} if is_pair else {"mono": "clip.mp4"}
+    return settings_from({**options, **({"stereo": "both.mp4"} if options.get("stereo_layout") else video)})
 
 
 def _shared_files(settings: RunSettings) -> dict[str, Path]:

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from track_range.fleet.inputs.clip import TELEMETRY_ROLE, Clip, file_title
 from track_range.fleet.storage.location import FolderListings, Location
@@ -15,8 +15,10 @@ from track_range.foundation.errors import UserError
 from track_range.recording.bags.bag import is_bag
 from track_range.recording.bags.bag_video import BagVideo
 from track_range.recording.files.video_file import VideoHeader
-from track_range.recording.names import BagTopic
+from track_range.recording.names import BagTopic, LayoutOption
 from track_range.recording.open_video import open_video
+from track_range.recording.pairs.stereo_layout import find_layout
+from track_range.recording.pairs.video_half import image_half
 from track_range.stereo.rig_formats.reading import find_rig, load_camera, load_rig
 
 _BATCH = 256  # number of clips that are handed to the threads at a time
@@ -50,6 +52,7 @@ class _Check:
     listings: FolderListings
     focal_px: float | None
     folder_fps: float
+    stereo_layout: LayoutOption | None
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
@@ -74,12 +77,31 @@ class _Check:
             self.notes.append("The videos were not opened, since they are not on this machine.")
             return properties
         headers = [self._header(video.path, index) for index, video in enumerate(videos)]
+        if self._layout is not None:
+            headers = [self._half(videos[0].path, self._layout, headers[0])] * 2
         size_px, fps, duration_s, _ = headers[0]
         calibration = self._calibration(headers, files.get("rig"))
-        if len(headers) == 2:
+        if len(headers) == 2 and self.clip.right is not None:
             self._compare(headers[0], headers[1], has_rig=calibration in ("file", "bag"))
         known = {"size_px": size_px, "fps": fps or None, "duration_s": duration_s or None, "calibration": calibration}
         return properties | known
+
+    @property
+    def _layout(self) -> LayoutOption | None:
+        """Layout of the images of two cameras in the only video; None = there are two videos, or one camera."""
+        if self.clip.right is not None:
+            return None
+        return cast(LayoutOption | None, self.clip.settings.get("stereo_layout", self.stereo_layout))
+
+    def _half(self, path: Path, layout: LayoutOption, whole: _Header) -> _Header:
+        """The properties of one camera in a video with the images of two."""
+        size_px, fps, duration_s, has_calibration = whole
+        if layout == "auto":
+            with closing(open_video(path)) as reader:
+                layout = find_layout(reader, layout).layout
+        part = (slice(None), slice(None)) if layout == "tracks" else image_half(layout, size_px, is_right=False)
+        height_px, width_px = (len(range(*one.indices(side))) for one, side in zip(part, size_px[::-1], strict=True))
+        return (width_px, height_px), fps, duration_s, has_calibration
 
     def _size(self, files: dict[str, Location]) -> int:
         """Size of all files; those that do not exist or are empty are problems."""
@@ -127,7 +149,7 @@ class _Check:
             neighbour = find_rig(Path(self.clip.left))
             rig = None if neighbour is None else Location.of(neighbour)
         if rig is None:
-            if self.clip.right is None:
+            if self.clip.right is None and self._layout is None:
                 self.notes.append("No calibration: the focal length is estimated from the video, with its uncertainty.")
             return "none"
         if rig.is_local and max(headers[0][0]) <= _MAX_CALIBRATION_SIDE_PX:
@@ -139,7 +161,7 @@ class _Check:
         # the second sizes are those of a video that is rotated by its metadata
         for left, right in ((left_px, right_px), ((left_px[1], left_px[0]), (right_px[1], right_px[0]))):
             try:
-                if self.clip.right is None:
+                if self.clip.right is None and self._layout is None:
                     load_camera(path, size_px=left)
                 else:
                     load_rig(path, size_px=left, right_size_px=right)
@@ -150,18 +172,24 @@ class _Check:
 
 
 def check_clips(
-    clips: Sequence[Clip], *, focal_px: float | None = None, folder_fps: float = 10.0, threads: int = 8
+    clips: Sequence[Clip],
+    *,
+    focal_px: float | None = None,
+    folder_fps: float = 10.0,
+    stereo_layout: LayoutOption | None = None,
+    threads: int = 8,
 ) -> Iterator[CheckedClip]:
     """The clips with the properties in their headers, in the given order.
 
     Videos on this machine are opened, but not decoded, except the first image of folders and bags. Of remote clips only
     the existence and size of the files are known. `focal_px` and `folder_fps` are as in a run, for clips without
-    calibration and folders of images without timestamps.txt; `threads` clips are checked at a time.
+    calibration and folders of images without timestamps.txt, `stereo_layout` for single videos of two cameras;
+    `threads` clips are checked at a time.
     """
     listings = FolderListings()
 
     def checked(clip: Clip) -> CheckedClip:
-        return _Check(clip, listings, focal_px, folder_fps).result()
+        return _Check(clip, listings, focal_px, folder_fps, stereo_layout).result()
 
     with ThreadPoolExecutor(threads) as pool:
         for start in range(0, len(clips), _BATCH):

@@ -63,7 +63,7 @@ class BagVideo(RecordedVideo):
         self.first_time_s = times_s[0]
         self.height_px, self.width_px = first.shape[:2]
         check_size(name, (self.width_px, self.height_px), VideoError)
-        self.is_grey = is_neutral(first)
+        self.is_grey, self.first_image = is_neutral(first), first
         steps_s = np.diff(times_s)
         steps_s = steps_s[steps_s > TIME_EPSILON_S]
         self.fps = float(1 / np.median(steps_s)) if steps_s.size else _FALLBACK_RATE_HZ

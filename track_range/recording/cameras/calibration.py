@@ -19,6 +19,7 @@ from track_range.recording.frame import VideoError, VideoFrame
 from track_range.recording.live.live_video import LiveVideo
 from track_range.recording.names import VideoName, files_of
 from track_range.recording.pairs.auto_alignment import PairAlignment
+from track_range.recording.pairs.video_half import VideoHalf
 from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.utc import UtcStart
 from track_range.stereo.alignment.model import MAX_ROW_OFFSET_PX, RightView
@@ -256,8 +257,8 @@ def find_calibration(
     sizes_px: Sizes = tuple((video.width_px, video.height_px) for video in videos)
     if all(abs(a - b) <= _CODEC_CROP_PX for a, b in zip(sizes_px[0], sizes_px[-1], strict=True)):
         sizes_px = ((min(w for w, _ in sizes_px), min(h for _, h in sizes_px)),) * len(sizes_px)
-    aspect = pixel_aspect_of((videos[0].width_px, videos[0].height_px), videos[0].pixel_aspect)
     if isinstance(rig, StereoRig):
+        aspect = _pixel_aspect(videos, rig.left)
         return replace(_of_models(rig, None, sizes_px, view, aspect), pixel_aspect=aspect)
     path, search_notes = rig, tuple[str, ...]()
     if rig is None and focal_px is None:
@@ -268,10 +269,19 @@ def find_calibration(
         path = None if first_file is None else find_rig(first_file)
         search_notes = () if path is None else (f"Using calibration {path} found next to the left video.",)
     if path is not None:
+        aspect = _pixel_aspect(videos, read_calibration(path, is_grey=videos[0].is_grey, is_pair=False).left)
         loaded = _loaded(path, sizes_px, view, is_grey=videos[0].is_grey, aspect=aspect)
         return replace(loaded, search_notes=search_notes, pixel_aspect=aspect)
     _check_view(None, view)
-    return _without_file(left, videos, sizes_px, focal_px, aspect)
+    return _without_file(left, videos, sizes_px, focal_px, _pixel_aspect(videos))
+
+
+def _pixel_aspect(videos: Sequence[Video], camera: PinholeCamera | None = None) -> float:
+    """Width / height of the pixels by the video, or of two images in one by the size of a camera's images."""
+    if camera is not None and camera.width_px:
+        for half in (video for video in videos if isinstance(video, VideoHalf)):
+            half.with_packed_pixels(camera.width_px / camera.height_px)
+    return pixel_aspect_of((videos[0].width_px, videos[0].height_px), videos[0].pixel_aspect)
 
 
 def calibration_of(

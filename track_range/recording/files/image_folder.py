@@ -65,7 +65,7 @@ class ImageFolder(RecordedVideo):
         number, image = self._first_readable()
         self.first_time_s = self._times_s[number]
         self.height_px, self.width_px = image.shape[:2]
-        self.is_grey = is_neutral(image)
+        self.is_grey, self.first_image = is_neutral(image), image
         self._n_backward = 0
         self._unreadable = self._leading
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import deque
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Mapping
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from fractions import Fraction
@@ -40,6 +40,7 @@ from track_range.recording.frame import (
     is_neutral,
     strictly_later,
 )
+from track_range.recording.names import StereoLayout
 from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.threads import DECODER_THREADS
 from track_range.recording.utc import Stamp, UtcStart, stamp_in_header, stamp_in_name, start_of
@@ -47,6 +48,8 @@ from track_range.recording.utc import Stamp, UtcStart, stamp_in_header, stamp_in
 _FALLBACK_RATE_HZ = 25.0  # frame rate of a file that does not declare one
 _SHORTFALL_FRAMES = 2.5  # frames missing at the end of the header's duration from which a file counts as truncated
 _MIN_RATE_HZ, _MAX_RATE_HZ = 1e-4, 1e5  # range of frame rates; the rate of another header is ignored
+
+_STILL = Disposition.attached_pic | Disposition.timed_thumbnails  # streams that are no videos
 
 _MAX_PIXEL_ASPECT = 4.0  # largest plausible ratio of the sides of a pixel
 
@@ -74,13 +77,15 @@ class VideoFile(RecordedVideo):
 
     path: Path
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, track: int | None = None) -> None:
+        """Open a file, and its video track `track`, counted from 0; None = the largest one."""
+        self.path, self._track = path, track
         self._state = FileState.of(path)
-        self._reading: _Reading | None = _Reading(path, self._state)
+        self._reading: _Reading | None = _Reading(path, self._state, track)
         container, stream = self._reading.container, self._reading.stream
         self._log = self._reading.log
         self.fps = self._reading.fps
+        self.tracks_px = self._reading.tracks_px
         self._file_notes: list[str] = [f"{path}: {note}" for note in self._reading.notes]
         self._has_grown = False
         self._first = next(iter(self._reading), None)
@@ -100,8 +105,8 @@ class VideoFile(RecordedVideo):
             self.n_total = max(1, round((self._declared_end_s - self.first_time_s) * self.fps))
 
         self._axes = _display_axes(frame)
-        self.is_upright_file = self._axes == UPRIGHT
-        if not self.is_upright_file:
+        self.is_upright_file = self._axes == UPRIGHT and stream == container.streams.video[0]
+        if self._axes != UPRIGHT:
             self._file_notes.append(f"{path}: rotated upright according to its metadata.")
         if stated := float(stream.sample_aspect_ratio or 0):
             stated = 1 / stated if self._axes[1] else stated  # of the upright image
@@ -109,9 +114,10 @@ class VideoFile(RecordedVideo):
                 self.pixel_aspect = stated
             else:
                 self._file_notes.append(f"{path}: the stated pixel aspect of {stated:.3g} is ignored.")
+        self.stated_layout = _stated_layout(frame, self.metadata)
         image = DecodedImage(frame, self._axes).to_bgr()
         self.height_px, self.width_px = image.shape[:2]
-        self.is_grey = is_neutral(image)
+        self.is_grey, self.first_image = is_neutral(image), image
 
     @property
     def utc(self) -> UtcStart | None:
@@ -134,7 +140,7 @@ class VideoFile(RecordedVideo):
         """See `RecordedVideo.frames`; reading ends where the file becomes unreadable."""
         if self._reading is None:
             self.check_unchanged()
-        reading, first = self._reading or _Reading(self.path, self._state), self._first
+        reading, first = self._reading or _Reading(self.path, self._state, self._track), self._first
         self._reading = self._first = None
         self._log = reading.log
         with closing(reading):
@@ -170,10 +176,10 @@ class VideoHeader:
     state: FileState
 
     @classmethod
-    def read(cls, path: Path) -> VideoHeader:
+    def read(cls, path: Path, track: int | None = None) -> VideoHeader:
         """The header of a file, which is closed again; raises VideoError if it is unreadable or has no video."""
         state = FileState.of(path)
-        with closing(_Reading(path, state)) as reading:
+        with closing(_Reading(path, state, track)) as reading:
             container, stream = reading.container, reading.stream
             first_s = float((stream.start_time or 0) * reading.time_base)
             declared_s, is_end = _declared_duration_s(container, stream)
@@ -223,11 +229,31 @@ class _Reading:
     `packets` were not decoded yet, see `_demuxed`; `notes` are messages about the header, without the path.
     """
 
-    def __init__(self, path: Path, state: FileState) -> None:
+    def __init__(self, path: Path, state: FileState, track: int | None = None) -> None:
         self._path, self._state = path, state
-        self.container, self.stream = _open(path)
+        self.container, tracks = _open(path)
+        self.tracks_px = tuple((one.codec_context.width, one.codec_context.height) for one in tracks)
+        largest = max(range(len(tracks)), key=lambda number: math.prod(self.tracks_px[number]))
+        number = largest if track is None else track
+        if not 0 <= number < len(tracks):
+            self.container.close()
+            raise VideoError(
+                f"{path}: expected video track {track}, found {counted(len(tracks), 'track')}, counted from 0; "
+                "correct --track (Python: track)."
+            )
+        self.stream = _prepared(tracks[number])
         self.log = DecodeLog()
-        self.notes: list[str] = []
+        self.notes: list[str] = [
+            f"video track {other} ({width_px}x{height_px} px) is left out, track {number} is used; --track chooses "
+            "another one"
+            + (
+                ", and --stereo FILE uses two of equal size as left and right."
+                if (width_px, height_px) == self.tracks_px[number]
+                else "."
+            )
+            for other, (width_px, height_px) in enumerate(self.tracks_px)
+            if other != number and track is None
+        ]
         rates_hz = [float(rate) for rate in (self.stream.average_rate, self.stream.guessed_rate) if rate]
         plausible_hz = [rate_hz for rate_hz in rates_hz if _MIN_RATE_HZ <= rate_hz <= _MAX_RATE_HZ]
         self.fps = plausible_hz[0] if plausible_hz else _FALLBACK_RATE_HZ
@@ -327,25 +353,61 @@ def _display_axes(frame: av.VideoFrame) -> tuple[int, int, int, int]:
     return (a, b, c, d) if is_right_angle else UPRIGHT
 
 
-def _open(path: Path) -> tuple[InputContainer, VideoStream]:
+_STEREO_3D: dict[tuple[int, int], StereoLayout] = {
+    (1, 0): "side-by-side",
+    (1, 1): "right-left",
+    (2, 0): "top-bottom",
+    (2, 1): "bottom-top",
+}
+"""Layouts by the type and the flag `inverted` of FFmpeg's AVStereo3D, from the frame packing of H.264 and HEVC, the
+StereoMode of Matroska, and the boxes st3d and vexu of MP4."""
+
+_STEREO_MODES: dict[str, StereoLayout] = {
+    "left_right": "side-by-side",
+    "right_left": "right-left",
+    "top_bottom": "top-bottom",
+    "bottom_top": "bottom-top",
+}
+"""Layouts by FFmpeg's names of Matroska's StereoMode."""
+
+
+def _stated_layout(frame: av.VideoFrame, metadata: Mapping[str, str]) -> StereoLayout | None:
+    """The layout of a stereo image that a file states; None = none."""
+    try:
+        side = cast(SideDataContainer, frame.side_data)[SideDataType.STEREO3D]
+    except KeyError:
+        return _STEREO_MODES.get(metadata.get("stereo_mode", ""))
+    kind, flags = (int(value) for value in np.frombuffer(bytes(side), np.int32)[:2])
+    return _STEREO_3D.get((kind, flags & 1))
+
+
+def _open(path: Path) -> tuple[InputContainer, list[VideoStream]]:
+    """The container and its video tracks that can be decoded, without cover art."""
     try:
         # "file:", since a name may look like a URL
         container = av.open(f"file:{path}", mode="r", options=_OPTIONS, metadata_errors="replace")
     except (av.FFmpegError, ValueError, MemoryError) as error:
         raise VideoError(f"{path}: {_unreadable_reason(path)}") from error
     try:
-        videos = (stream for stream in container.streams.video if not stream.disposition & Disposition.attached_pic)
-        stream = next((stream for stream in videos if stream.codec_context is not None), None)  # can be decoded
-        if stream is None:
+        tracks = [stream for stream in container.streams.video if not stream.disposition & _STILL]
+        tracks = [stream for stream in tracks if stream.codec_context is not None]  # can be decoded
+        tracks = [stream for stream in tracks if stream.frames != 1] or tracks
+        if not tracks:
             raise VideoError(f"{path}: contains no video; give a video file or a folder of numbered images.")
-        check_size(path, (stream.codec_context.width, stream.codec_context.height), VideoError)
+        for stream in tracks:
+            check_size(path, (stream.codec_context.width, stream.codec_context.height), VideoError)
     except VideoError:
         container.close()
         raise
+    return container, tracks
+
+
+def _prepared(stream: VideoStream) -> VideoStream:
+    """The stream with the options for decoding it."""
     stream.thread_type = "AUTO"
     stream.thread_count = DECODER_THREADS
     stream.codec_context.options = {**stream.codec_context.options, "max_pixels": str(MAX_PIXELS)}
-    return container, stream
+    return stream
 
 
 def _unreadable_reason(path: Path) -> str:

@@ -16,6 +16,7 @@ import av
 from av.container import InputContainer
 from av.video.stream import VideoStream
 
+from track_range.foundation.arrays import Image
 from track_range.foundation.files.images import MAX_PIXELS
 from track_range.foundation.files.input_files import counted
 from track_range.foundation.prefetch import lower_thread_priority
@@ -103,6 +104,7 @@ class LiveVideo:
         self.height_px, self.width_px = image.shape[:2]
         self.pixel_aspect: float | None = None
         self.is_grey = is_neutral(image)
+        self.first_image: Image | None = image  # as long as it is needed
         self._utc_from_monotonic_s = time.time() - time.monotonic()
         self.first_time_s = self.waiting_s()[0][1]  # time of `time.monotonic` at which the reading started
 
@@ -180,26 +182,30 @@ class LiveVideo:
         self.is_closed = True
 
     def __iter__(self) -> Generator[VideoFrame, None, None]:
-        self.begin()
         try:
-            arrival = threading.Event()
-            self.notify(arrival)
-            while True:
-                arrival.clear()  # cleared first: a frame that arrives meanwhile sets it again
-                is_over, newest = self.is_over, self.waiting_s()[-1:]
-                if not newest and is_over:
-                    self.check()
-                    return
-                if not newest and not arrival.wait(SILENCE_S):
-                    raise VideoError(f"{self.path}: connection lost, no frame for {SILENCE_S:.0f} s; check the camera.")
-                for index, time_s in newest:
-                    if self.is_after_end(time_s):
-                        return
-                    frame = self.take(index)
-                    if frame is not None and self.is_after_start(time_s):
-                        yield frame
+            yield from self.newest()
         finally:
             self.close()
+
+    def newest(self) -> Generator[VideoFrame, None, None]:
+        """The frames, from the newest one on; the connection stays open."""
+        self.begin()
+        arrival = threading.Event()
+        self.notify(arrival)
+        while True:
+            arrival.clear()  # cleared first: a frame that arrives meanwhile sets it again
+            is_over, newest = self.is_over, self.waiting_s()[-1:]
+            if not newest and is_over:
+                self.check()
+                return
+            if not newest and not arrival.wait(SILENCE_S):
+                raise VideoError(f"{self.path}: connection lost, no frame for {SILENCE_S:.0f} s; check the camera.")
+            for index, time_s in newest:
+                if self.is_after_end(time_s):
+                    return
+                frame = self.take(index)
+                if frame is not None and self.is_after_start(time_s):
+                    yield frame
 
     def _read(self, container: InputContainer, stream: VideoStream) -> None:
         lower_thread_priority()

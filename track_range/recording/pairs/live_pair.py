@@ -29,6 +29,8 @@ class LivePair(VideoPair[LiveVideo]):
     While iterating, raises VideoError if a connection is lost, or no frames are close enough in time.
     """
 
+    is_live = True
+
     def __init__(self, left: LiveVideo, right: LiveVideo) -> None:
         self._is_shared = all(video.clock.is_shared for video in (left, right))
         intervals = _SHARED_CLOCK_INTERVALS if self._is_shared else _ARRIVAL_INTERVALS

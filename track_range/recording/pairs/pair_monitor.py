@@ -25,6 +25,7 @@ _UNMATCHED = (
     f"The rig could not be checked: left and right have too few matching points in equal rows in the first "
     f"{MAX_CHECKED_PAIRS} pairs; check that the two videos and the rig belong together."
 )
+_SWAP = "swap the two videos"  # advice of `find_fault`
 _MIN_ROW_FRACTION = 0.5  # of the matches of an uncalibrated pair that has equal rows
 _MAX_ROW_OFFSET_PX = 1.5  # vertical offset above which the user is warned if it is not corrected
 
@@ -35,7 +36,8 @@ class PairMonitor:
     Pairs at rest do not show errors that all disparities have in common: the first pairs in motion are checked again.
     """
 
-    def __init__(self, rig: StereoRig) -> None:
+    def __init__(self, rig: StereoRig, *, is_packed: bool = False) -> None:
+        self._is_packed = is_packed  # whether left and right are parts of the same images
         self.finding: PairFinding | None = None  # None = not known yet
         self.corrected_px = 0.0  # row offset that is corrected in the frames after the check
         self.view = RightView()  # rows of the right camera
@@ -82,7 +84,8 @@ class PairMonitor:
         if self.finding is None and self._evidence.n_pairs:
             self._explain()
         if self.finding is not None and self.finding.fault == "swapped":
-            raise RigError(self.finding.sentence)
+            advice = "give another --stereo-layout (Python: stereo_layout)" if self._is_packed else _SWAP
+            raise RigError(self.finding.sentence.replace(_SWAP, advice))
         return self.finding
 
     def _explain(self) -> None:

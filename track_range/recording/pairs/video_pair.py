@@ -28,6 +28,8 @@ class VideoPair(ABC, Generic[V]):
     recorded videos from their start, live ones with the next pair. Times differ by at most `tolerance_s`.
     """
 
+    is_live: bool = False
+
     def __init__(self, left: V, right: V, *, tolerance_s: float, max_ahead_bytes: int) -> None:
         self.left: V = left
         self.right: V = right

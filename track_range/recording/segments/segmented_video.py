@@ -51,8 +51,15 @@ class SegmentedVideo(RecordedVideo):
     their images differ in size; while iterating, if a file was deleted or changed in the meantime.
     """
 
-    def __init__(self, name: Path | Segments, paths: Sequence[Path], *, left: SegmentedVideo | None = None) -> None:
-        self.path = name
+    def __init__(
+        self,
+        name: Path | Segments,
+        paths: Sequence[Path],
+        *,
+        left: SegmentedVideo | None = None,
+        track: int | None = None,
+    ) -> None:
+        self.path, self._track = name, track
         self._setup_notes: list[str] = []
         self._reading_notes: list[str] = []
         if len(paths) > _MAX_FILES:
@@ -75,6 +82,7 @@ class SegmentedVideo(RecordedVideo):
         self.width_px, self.height_px = first.width_px, first.height_px
         self.pixel_aspect = first.pixel_aspect
         self.is_grey, self.fps = first.is_grey, first.fps
+        self.tracks_px, self.stated_layout, self.first_image = first.tracks_px, first.stated_layout, first.first_image
         self.first_time_s = self._starts_s[0]
         counts = [self._headers[s.path].n_frames or round(s.duration_s * self.fps) for s in self._segments]
         self.n_total = sum(counts) or None
@@ -147,7 +155,7 @@ class SegmentedVideo(RecordedVideo):
             if isinstance(self.path, Segments) and not path.is_file():
                 FileState.of(path)  # raises the error: a named file is missing
             try:
-                header = VideoHeader.read(path)
+                header = VideoHeader.read(path, self._track)
             except VideoError as error:
                 errors.append(error)
                 continue
@@ -181,7 +189,7 @@ class SegmentedVideo(RecordedVideo):
         """The first file that can be decoded; earlier ones are left out."""
         while True:
             try:
-                return VideoFile(self._segments[0].path)
+                return VideoFile(self._segments[0].path, self._track)
             except VideoError as error:
                 if len(self._segments) == 1:
                     raise
@@ -201,7 +209,7 @@ class SegmentedVideo(RecordedVideo):
             )
         self._headers[segment.path].state.check_unchanged(segment.path)
         try:
-            video = VideoFile(segment.path)
+            video = VideoFile(segment.path, self._track)
         except VideoError as error:
             self._add_notes([f"Skipped: {error}"])
             return None

@@ -12,7 +12,7 @@ from pydantic import field_serializer, field_validator
 
 from track_range.foundation.errors import ConfigError
 from track_range.foundation.options import Options, option
-from track_range.recording.names import Segments, VideoName, video_name
+from track_range.recording.names import LayoutOption, Segments, VideoName, video_name
 from track_range.recording.utc import parsed_utc
 
 _clip_option = partial(option, is_per_clip=True)
@@ -28,12 +28,23 @@ class InputOptions(Options):
         option(
             "Left and right video: files, folders of numbered images, camera numbers (0 1) or streams (rtsp://...); "
             "for recordings in several files, folders of videos, patterns such as 'DIR/*_L.mp4', or the option "
-            "repeated for each pair of files.",
-            metavar="LEFT RIGHT",
+            "repeated for each pair of files. Or one of them with the images of both cameras, as ZED, OAK and other "
+            "stereo cameras record (--stereo-layout).",
+            metavar="LEFT RIGHT|BOTH",
             is_repeated=True,
             is_shared=True,
             instead="the recordings are arguments: `track-range fleet run DIR --pattern "
             "'{clip}_left.mp4,{clip}_right.mp4'`",
+        ),
+    ] = None
+    stereo_layout: Annotated[
+        LayoutOption | None,
+        _clip_option(
+            "With one recording of both cameras, where their images are: beside each other with the left camera's on "
+            "the left (side-by-side) or right (right-left), below each other with the left camera's at the top "
+            "(top-bottom) or bottom (bottom-top), or in two video tracks of a file (tracks). By default (auto) from "
+            "the file, its name, or the images; images squeezed to half their width or height are recognised by the "
+            "size in --rig.",
         ),
     ] = None
     mono: Annotated[
@@ -48,10 +59,20 @@ class InputOptions(Options):
             instead="the recordings are arguments: `track-range fleet run DIR`",
         ),
     ] = None
+    track: Annotated[
+        int | None,
+        _clip_option(
+            "With --mono, video track of a file with several of them, counted from 0 (default: the largest one).",
+            metavar="N",
+            ge=0,
+            le=99,
+        ),
+    ] = None
     topics: Annotated[
         tuple[str, ...],
         _clip_option(
-            "Topics of the images in an MCAP file or ROS bag: one for --mono, two for --stereo BAG; without --rig, the "
+            "Topics of the images in an MCAP file or ROS bag: one for --mono, two for --stereo BAG, or one with "
+            "the images of both cameras (--stereo-layout); without --rig, the "
             "calibration is that of the topics camera_info beside them.",
             metavar="LEFT,RIGHT",
         ),
@@ -139,14 +160,10 @@ class InputOptions(Options):
     @field_validator("stereo", mode="before")
     @classmethod
     def _pair_of_names(cls, pair: Any) -> Any:
-        """Convert names to paths, several files, or the addresses of cameras and streams; one bag is both videos."""
+        """Convert names to paths, several files, or the addresses of cameras and streams; one name is both videos."""
         if isinstance(pair, str | Path):
             pair = (pair,)
         if isinstance(pair, list | tuple) and len(pair) == 1:
-            from track_range.recording.bags.bag import is_bag  # imports NumPy
-
-            if not (isinstance(pair[0], str | Path) and is_bag(Path(pair[0]))):
-                raise ValueError("expected LEFT and RIGHT, or one MCAP file or ROS bag with --topics LEFT,RIGHT")
             pair = (pair[0], pair[0])
         return tuple(_source_name(name) for name in pair) if isinstance(pair, list | tuple) else pair
 
@@ -171,6 +188,11 @@ class InputOptions(Options):
         if isinstance(value, str):
             parsed_utc(value)
         return value
+
+    @property
+    def has_both_in_one(self) -> bool:
+        """Whether one recording has the images of both cameras, if it is not a bag with two topics."""
+        return self.stereo is not None and self.stereo[0] == self.stereo[1] and len(self.topics) < 2
 
     @property
     def videos(self) -> tuple[VideoName, ...]:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from track_range.fleet.engine.clip_run import clip_settings
 from track_range.fleet.inputs.clip import Clip
 from track_range.fleet.inputs.dry_run import check_clips
 
@@ -89,3 +90,16 @@ def test_remote_clips_are_not_opened(bucket):
 def test_order_of_many_clips(tmp_path):
     clips = [Clip(str(n), str(tmp_path / f"{n}.mp4")) for n in range(600)]
     assert [checked.clip for checked in check_clips(clips)] == clips
+
+
+def test_two_cameras_in_one_video(tmp_path, film, level):
+    film(tmp_path / "both.mp4", [0, 0.1], images=[level(n, width_px=128) for n in range(2)])
+    (tmp_path / "calib.txt").write_text(CALIBRATION)
+    clip = Clip("a", str(tmp_path / "both.mp4"))
+    (checked,) = check(clip, stereo_layout="side-by-side")
+    assert (checked.size_px, checked.calibration, checked.problems) == ((64, 48), "file", ())
+    (own,) = check(replace(clip, settings={"stereo_layout": "top-bottom"}), stereo_layout="side-by-side")
+    assert own.size_px == (128, 24)
+    assert check(clip)[0].size_px == (128, 48)
+    settings = clip_settings({"stereo_layout": "side-by-side"}, clip)
+    assert (settings.stereo, settings.mono) == ((tmp_path / "both.mp4",) * 2, None)

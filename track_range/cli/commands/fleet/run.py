@@ -70,7 +70,7 @@ def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Sequenc
     todo, n_complete, n_failed = remaining(clips, table, plan.settings_hash, is_failed_repeated=settings.retry_failed)
     problems: list[tuple[str, str]] = []
     seconds = 0.0
-    checked_settings = {key: options[key] for key in ("focal_px", "folder_fps") if key in options}
+    checked_settings = {key: options[key] for key in ("focal_px", "folder_fps", "stereo_layout") if key in options}
     for checked in check_clips([task.clip for task in todo], **checked_settings):
         seconds += checked.duration_s or 0.0
         line = f"{checked.clip.name}: {Location.of(checked.clip.left)}"

@@ -1,0 +1,156 @@
+"""find_layout: where the images of a recording have those of two cameras.
+
+given -> stated by the file (frame packing of H.264 and HEVC, StereoMode, st3d, vexu) -> two video tracks of equal size
+      -> stated by the name (drive_SBS.mp4) -> halves that match as left and right do
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from itertools import islice
+
+import cv2
+import numpy as np
+
+from track_range.foundation.arrays import Image
+from track_range.recording.frame import VideoError
+from track_range.recording.live.live_video import LiveVideo
+from track_range.recording.names import LayoutOption, StereoLayout, files_of
+from track_range.recording.pairs.video_half import image_half
+from track_range.recording.recorded_video import RecordedVideo
+from track_range.stereo.alignment.pair_evidence import PairEvidence
+from track_range.stereo.alignment.pair_finding import find_fault
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.rig import StereoRig
+
+_IN_NAMES: dict[str, StereoLayout] = {
+    **dict.fromkeys(("sbs", "hsbs", "halfsbs", "lr", "3dh"), "side-by-side"),
+    **dict.fromkeys(("rl", "sbsrl"), "right-left"),
+    **dict.fromkeys(("tab", "tb", "htab", "ou", "hou", "3dv"), "top-bottom"),
+    **dict.fromkeys(("bt",), "bottom-top"),
+}
+"""Layouts by parts of file names, as players of 3-D videos read them."""
+
+_SHOWN: dict[StereoLayout, str] = {
+    "side-by-side": "beside each other, the left camera's on the left",
+    "right-left": "beside each other, the left camera's on the right",
+    "top-bottom": "below each other, the left camera's at the top",
+    "bottom-top": "below each other, the left camera's at the bottom",
+    "tracks": "in two video tracks, the left camera's in the first one",
+}
+_REVERSED: dict[StereoLayout, StereoLayout] = {"side-by-side": "right-left", "top-bottom": "bottom-top"}
+
+_THUMBNAIL_PX = 32, 18  # size of the images that are compared first
+_MAX_SHIFT_PX = 4  # largest displacement of these, a disparity of an eighth of the width
+_MIN_CORRELATION = 0.7  # smallest one of left and right images
+_N_FRAMES, _FRAME_STEP = 3, 10  # number of frames that are matched, and from one to the next
+_FOCAL_PER_WIDTH, _BASELINE_M = 0.8, 0.12  # of the camera that is assumed for matching
+_MIN_MATCHES = 60  # smallest number of matches per frame in equal rows of left and right
+
+
+@dataclass(frozen=True, slots=True)
+class FoundLayout:
+    """A layout, and what states it."""
+
+    layout: StereoLayout
+    source: str
+
+    def sentence(self, name: str) -> str:
+        """The note for the user."""
+        return f"{name}: the images of the two cameras are {_SHOWN[self.layout]} ({self.source}; --stereo-layout)."
+
+
+def find_layout(video: RecordedVideo | LiveVideo, given: LayoutOption) -> FoundLayout:
+    """The layout of a recording of two cameras; raises VideoError if it is not known."""
+    if given == "tracks" and len(stereo_tracks(video)) < 2:
+        raise VideoError(
+            f"{video.path}: expected two video tracks of equal size, found {_listed(video)}; choose another "
+            f"--stereo-layout (Python: stereo_layout)."
+        )
+    if given != "auto":
+        return FoundLayout(given, "as given")
+    stated = video.stated_layout if isinstance(video, RecordedVideo) else None
+    if stated is not None:
+        return FoundLayout(stated, "as the file states")
+    if len(stereo_tracks(video)) > 1:
+        return FoundLayout("tracks", f"the file has {_listed(video)}")
+    for path in files_of(video.path)[:1]:
+        parts = re.split(r"[^a-z0-9]+", path.stem.lower().replace("half-sbs", "hsbs"))
+        if named := [_IN_NAMES[part] for part in parts if part in _IN_NAMES]:
+            return FoundLayout(named[-1], "as the file name states")
+    if matched := matching_halves(_first_images(video)):
+        return matched
+    raise VideoError(
+        f"{video.path}: expected the images of two cameras in one, found no two halves that match; give the right "
+        "video as well, or --stereo-layout side-by-side, right-left, top-bottom, bottom-top or tracks (Python: "
+        "stereo_layout), or use --mono."
+    )
+
+
+def mono_notes(video: RecordedVideo | LiveVideo) -> tuple[str, ...]:
+    """A note that the images of one camera are those of two, if they look like it."""
+    stated = video.stated_layout if isinstance(video, RecordedVideo) else None
+    image = video.first_image
+    layout = FoundLayout(stated, "as the file states") if stated else matching_halves([] if image is None else [image])
+    if layout is None:
+        return ()
+    return (
+        f"{video.path}: each image looks like those of two cameras, {_SHOWN[layout.layout]} ({layout.source}), so that "
+        f"road users are counted twice and distances are wrong; use --stereo {video.path} --stereo-layout "
+        f"{layout.layout} (Python: stereo_layout).",
+    )
+
+
+def stereo_tracks(video: RecordedVideo | LiveVideo) -> tuple[int, ...]:
+    """Numbers of the video tracks of a file that are as large as the largest one."""
+    sizes_px = video.tracks_px if isinstance(video, RecordedVideo) else ()
+    largest = max(sizes_px, key=lambda size_px: size_px[0] * size_px[1], default=None)
+    return tuple(number for number, size_px in enumerate(sizes_px) if size_px == largest)
+
+
+def matching_halves(images: Sequence[Image]) -> FoundLayout | None:
+    """The layout of images whose halves are alike, as left and right are; None = they are images of one camera."""
+    if not images:
+        return None
+    size_px = images[0].shape[1], images[0].shape[0]
+    for layout, reversed_layout in _REVERSED.items():
+        first, second = (image_half(layout, size_px, is_right=is_right) for is_right in (False, True))
+        height_px, width_px = images[0][first].shape[:2]
+        if min(height_px, width_px) < 2 * _THUMBNAIL_PX[1] or not _are_alike(images[0][first], images[0][second]):
+            continue
+        camera = PinholeCamera.of_focal_length(_FOCAL_PER_WIDTH * width_px, (width_px, height_px))
+        evidence = PairEvidence(camera)
+        for image in images:
+            evidence.add(np.ascontiguousarray(image[first]), np.ascontiguousarray(image[second]))
+        figures = evidence.figures()
+        fault, n_agreeing = find_fault(figures, StereoRig.rectified(camera, _BASELINE_M)).fault, len(figures.left_px)
+        if fault in ("fits", "verged", "swapped") and n_agreeing >= _MIN_MATCHES * len(images):
+            share = f"{n_agreeing} of {figures.n_matches} matching points of both halves are in equal rows"
+            return FoundLayout(reversed_layout if fault == "swapped" else layout, share)
+    return None
+
+
+def _are_alike(first: Image, second: Image) -> bool:
+    """Whether small images of the halves are correlated at some displacement."""
+    a, b = (
+        cv2.resize(image, _THUMBNAIL_PX, interpolation=cv2.INTER_AREA).mean(axis=2).astype(np.float32)
+        for image in (first, second)
+    )
+    shift = _MAX_SHIFT_PX
+    return float(cv2.matchTemplate(b, a[:, shift:-shift], cv2.TM_CCOEFF_NORMED).max()) >= _MIN_CORRELATION
+
+
+def _first_images(video: RecordedVideo | LiveVideo) -> list[Image]:
+    if isinstance(video, LiveVideo):
+        with closing(video.newest()) as frames:
+            return [frame.image for frame in islice(frames, 1)]
+    with closing(iter(video)) as frames:
+        return [frame.image for frame in islice(frames, 0, _N_FRAMES * _FRAME_STEP, _FRAME_STEP)]
+
+
+def _listed(video: RecordedVideo | LiveVideo) -> str:
+    sizes_px = video.tracks_px if isinstance(video, RecordedVideo) else ()
+    return " and ".join(f"{width_px}x{height_px} px" for width_px, height_px in sizes_px) or "none"
