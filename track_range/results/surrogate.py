@@ -11,13 +11,12 @@ import numpy as np
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import IntArray
 from track_range.foundation.files.atomic_files import atomic_path, describe
-from track_range.foundation.files.output_files import OutputError, write_text
+from track_range.foundation.files.output_files import OutputError
 from track_range.ranging.warning.safety import HALF_WIDTH_M, post_encroachment_s
 from track_range.results.columns import Columns
 from track_range.results.folder import read_run_folder
 from track_range.results.formats.parquet_file import PARQUET_FILE, read_tracks_parquet
 from track_range.results.formats.poses_file import Poses, read_poses
-from track_range.results.formats.row_file import csv_text
 
 _SMALLEST, _LARGEST = ("gap_m", "headway_s", "ttc_front_s"), ("drac_mps2", "mdrac_mps2")
 _CLIP = "clip="  # start of the folder of a clip's rows in those of a fleet
@@ -105,24 +104,19 @@ def by_class(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return figures
 
 
-def write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
-    """Write the rows as CSV, numbers with 3 decimals, empty = unknown; OutputError if the file cannot be written."""
-
-    def text(value: Any) -> str:
-        return "" if value is None else f"{value:.3f}" if isinstance(value, float) else str(value)
-
-    write_text(path, csv_text([COLUMNS, *([text(row[key]) for key in COLUMNS] for row in rows)]))
-
-
-def write_parquet(path: Path, rows: Sequence[dict[str, Any]]) -> None:
-    """Write the rows as Parquet in full precision, null = unknown; OutputError if the file cannot be written."""
+def write_rows(path: Path, rows: Sequence[dict[str, Any]], *, is_parquet: bool) -> None:
+    """Write the rows as Parquet or CSV, null or empty = unknown; OutputError if the file cannot be written."""
     import pyarrow as pa
-    from pyarrow import parquet
+    from pyarrow import csv, parquet
 
-    texts, whole = ("clip", "class", "state"), ("track_id",)
-    kinds = {key: pa.string() if key in texts else pa.int64() if key in whole else pa.float64() for key in COLUMNS}
+    kinds = {"track_id": pa.int64(), **dict.fromkeys(("clip", "class", "state"), pa.string())}
+    schema = pa.schema([(key, kinds.get(key, pa.float64())) for key in COLUMNS])
+    table = pa.Table.from_pylist(list(rows), schema)
     try:
         with atomic_path(path) as partial:
-            parquet.write_table(pa.Table.from_pylist(list(rows), pa.schema(kinds.items())), partial, compression="zstd")
+            if is_parquet:
+                parquet.write_table(table, partial, compression="zstd")
+            else:
+                csv.write_csv(table, partial, csv.WriteOptions(quoting_style="needed"))
     except OSError as error:
         raise OutputError(f"{path}: cannot be written ({describe(error)}).") from error

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from track_range.cli.console import console, print_grid, print_line
 from track_range.cli.parameters import command
 from track_range.foundation.options import Options, option
-from track_range.results.surrogate import by_class, surrogate_rows, write_csv, write_parquet
+from track_range.results.surrogate import by_class, surrogate_rows, write_rows
 from track_range.views.report.tables import ColumnSpec, Grid, columns_of, grid_of
 
 _N_SHOWN = 20  # road users in the table
@@ -60,9 +60,9 @@ def _surrogate(options: SurrogateOptions) -> None:
         console,
         "All are from the front of the ego vehicle. The gap is of all road users, the others are of those on its path.",
     )
-    for path, write in ((options.csv, write_csv), (options.parquet, write_parquet)):
+    for path, is_parquet in ((options.csv, False), (options.parquet, True)):
         if path is not None:
-            write(path, rows)
+            write_rows(path, rows, is_parquet=is_parquet)
             print_line(console, f"Written: {path}, {len(rows)} road users")
 
 

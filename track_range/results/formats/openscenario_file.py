@@ -8,7 +8,7 @@ are added when they are first seen, and deleted when they were last seen. Times 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -209,17 +209,11 @@ def _maneuvers(name: str, table: FloatArray) -> ElementTree.Element:
             actions.insert(0, ("appears", first_s, _node("GlobalAction", _node("EntityAction", added, entityRef=name))))
         gone = _node("EntityAction", _node("DeleteEntityAction"), entityRef=name)
         actions.append(("disappears", last_s, _node("GlobalAction", gone)))
-    return _node("ManeuverGroup", *_group(name, actions), maximumExecutionCount=1, name=name)
-
-
-def _group(
-    name: str, actions: Iterable[tuple[str, float, ElementTree.Element]]
-) -> tuple[ElementTree.Element, ElementTree.Element]:
-    """Actor, and its manoeuvre of one event per action (name, time, element)."""
     events = []
     for what, time_s, action in actions:
         label = f"{name} {what}"
         parts = _node("Action", action, name=label), _at(label, time_s)
         events.append(_node("Event", *parts, priority="parallel", maximumExecutionCount=1, name=label))
     actors = _node("Actors", _node("EntityRef", entityRef=name), selectTriggeringEntities="false")
-    return actors, _node("Maneuver", *events, name=name)
+    maneuver = _node("Maneuver", *events, name=name)
+    return _node("ManeuverGroup", actors, maneuver, maximumExecutionCount=1, name=name)
