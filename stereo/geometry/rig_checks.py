@@ -5,7 +5,7 @@ A wrong calibration silently gives wrong distances, so implausible values are er
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -48,19 +48,50 @@ class RigCalibration:
     # (3,) translation from the frame of the data set's labels to the left camera's frame; zeros except for KITTI
     left_from_reference_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     notes: tuple[str, ...] = ()  # messages for the user
-    # the cameras of the images before their rectification, if the file has both and they differ in size; the image size
-    # decides
-    unrectified: RigCalibration | None = None
+    # the cameras of images of other sizes, of the sensor's other modes or before rectification; the image size decides
+    others: tuple[RigCalibration, ...] = ()
+    metres_per_unit: float = 1.0  # of the lengths in the file
+    unit_doubt: str = ""  # why the unit of the lengths is not known, as a message; "" = it is known
     # height and pitch of a single camera, and the uncertainty of its focal length; None = unknown
     mounting: Mounting | None = None
 
+    def checked_rig(self, source: object) -> StereoRig | None:
+        """The rig; None for a single camera. Raises RigError if it is implausible, or its unit is not known."""
+        if self.right is None or self.right_from_left is None:
+            return None
+        if self.unit_doubt:
+            raise RigError(self.unit_doubt)
+        rig = StereoRig(self.left, self.right, self.right_from_left)
+        check_rig(rig, source)
+        return rig
+
     def of_size(self, size_px: tuple[int, int] | None) -> RigCalibration:
-        """The cameras of images of `size_px` = (width, height): as recorded or rectified; None = rectified."""
-        if self.unrectified is None or size_px is None or is_size_of(self.left, size_px):
+        """The cameras of images of `size_px` = (width, height), else of larger ones of their shape; None = first."""
+        if size_px is None or not self.others:
             return self
-        raw = self.unrectified.left
-        is_raw = is_size_of(raw, size_px) or (not has_aspect_of(self.left, size_px) and has_aspect_of(raw, size_px))
-        return self.unrectified if is_raw else self
+        modes = (self, *self.others)
+        alike = sorted(
+            (mode for mode in modes if has_aspect_of(mode.left, size_px)),
+            key=lambda mode: (mode.left.width_px < size_px[0], abs(mode.left.width_px - size_px[0])),
+        )
+        exact = (mode for mode in modes if is_size_of(mode.left, size_px))
+        return next(exact, self if self in alike and len(modes) == 2 else alike[0] if alike else self)
+
+    def in_unit(self, metres_per_unit: float | None) -> RigCalibration:
+        """The same with lengths in another unit, for a file whose unit is not `metres_per_unit`; None = no change."""
+        if metres_per_unit is None or self.right_from_left is None:
+            return self
+        motion = self.right_from_left.copy()
+        motion[:3, 3] *= metres_per_unit / self.metres_per_unit
+        notes = (*(note for note in self.notes if "baseline is" not in note), "The unit of lengths is the given one.")
+        return replace(
+            self,
+            right_from_left=motion,
+            metres_per_unit=metres_per_unit,
+            others=tuple(other.in_unit(metres_per_unit) for other in self.others),
+            unit_doubt="",
+            notes=notes,
+        )
 
 
 def check_rig(rig: StereoRig, source: object) -> None:
@@ -79,11 +110,16 @@ def check_rig(rig: StereoRig, source: object) -> None:
             f"{source}: expected a rotation matrix in right_from_left, found R^T R differing from the identity by "
             f"{deviation:.3g} and a determinant of {np.linalg.det(rotation):.3g}; give the 3 x 3 matrix row by row."
         )
-    x_m, y_m, _ = rig.right_from_left[:3, 3]
+    x_m, y_m, z_m = rig.right_from_left[:3, 3]
     if abs(y_m) > abs(x_m):
         raise RigError(
             f"{source}: expected cameras side by side, found a translation of {x_m:.3g} m in x and {y_m:.3g} m in y; "
             f"{NO_VERTICAL_PAIRS}."
+        )
+    if abs(z_m) > 2 * abs(x_m):
+        raise RigError(
+            f"{source}: expected cameras side by side, found a translation of {x_m:.3g} m in x and {z_m:.3g} m in z, "
+            "one behind the other; calibrate again, with the board near to the cameras and tilted."
         )
     low, high = BASELINE_M
     if low <= -rig.baseline_m <= high:

@@ -18,6 +18,7 @@ its inverse T_imu_cam instead of T_cn_cnm1. (github.com/ethz-asl/kalibr, wiki: S
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -31,11 +32,10 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError, inverse_motion
 from track_range.stereo.geometry.rig_checks import ImageSide, RigCalibration
 from track_range.stereo.rig_formats.rig_format import RigFormat
+from track_range.stereo.rig_formats.values.containers import yaml_of_opencv
 
-_CAMERA = re.compile(r"^cam\d+\s*:", re.MULTILINE)  # blocks at the top level
+_CAMERA = re.compile(r"^cam\d+\s*:(?!\s*\n\s+K\s*:)", re.MULTILINE)  # blocks at the top level, not those of scripts
 _HINT = "give Kalibr's camchain.yaml unchanged"
-
-_OPENCV_HEAD = re.compile(r"\A\s*%YAML:[^\n]*\n")  # first line of OpenCV's YAML, which YAML does not have
 
 _Row = tuple[Number, Number, Number, Number]
 _Transform = tuple[_Row, _Row, _Row, _Row]
@@ -82,13 +82,18 @@ _MODELS = (  # a missing distortion_model is none
 
 def _read(text: str, source: object) -> RigCalibration:
     """The first two cameras of a chain, the left one first."""
-    content = parse_yaml(_OPENCV_HEAD.sub("\n", text), source, RigError, "Kalibr's camchain.yaml")
+    content = parse_yaml(yaml_of_opencv(text), source, RigError, "Kalibr's camchain.yaml")
     if not isinstance(content, dict) or not isinstance(content.get("cam0"), dict):
         raise RigError(f"{source}: expected a block cam0, found none; {_HINT}.")
+    notes = [f"{source}: using cam0 and cam1 of {len(content)} cameras."] if "cam2" in content else []
+    return calibration_of_blocks(content, source, notes)
+
+
+def calibration_of_blocks(content: Mapping[str, Any], source: object, notes: list[str]) -> RigCalibration:
+    """The camera of the block "cam0", and of "cam1" if there is one; the left one first."""
     first, first_block = _camera(content["cam0"], f"{source}: cam0")
     if not isinstance(content.get("cam1"), dict):
-        return RigCalibration(first, None, None)
-    notes = [f"{source}: using cam0 and cam1 of {len(content)} cameras."] if "cam2" in content else []
+        return RigCalibration(first, None, None, notes=tuple(notes))
     second, second_block = _camera(content["cam1"], f"{source}: cam1")
     second_from_first = _second_from_first(first_block, second_block)
     if second_from_first is None or not np.allclose(second_from_first[3], [0.0, 0.0, 0.0, 1.0]):

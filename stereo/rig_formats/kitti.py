@@ -28,13 +28,15 @@ from track_range.stereo.geometry.rig import RigError, inverse_motion
 from track_range.stereo.geometry.rig_checks import BASELINE_M, MAX_SIDE_PX, NO_VERTICAL_PAIRS, RigCalibration
 from track_range.stereo.rig_formats.rig_format import RigFormat
 
-_LINE = re.compile(r"^[ \t]*(P|S)(?:_rect_0)?([0-3])[ \t]*[: \t][ \t]*(.*)$", re.MULTILINE)
+_LINE = re.compile(r"^[ \t]*(P|S)(?:_rect_0?)?(\d{1,3})[ \t]*[: \t][ \t]*(.*)$", re.MULTILINE)
 _NUMBER = re.compile(r"[-+.]*\d|[-+]?(nan|inf)", re.IGNORECASE)  # beginning of a word that is a number
 _MIN_NAMELESS = 9  # smallest number of words of a line that is meant as a projection matrix
 _BRACKETS = str.maketrans("[](),;", "      ")  # separators, and the brackets of copied matrices
-_RAW_LINE = re.compile(r"^[ \t]*([SKDRT]_0[0-3])[ \t]*[: \t][ \t]*(.*)$", re.MULTILINE)
+_RAW_LINE = re.compile(r"^[ \t]*([SKDRT]_\d{2,3})[ \t]*[: \t][ \t]*(.*)$", re.MULTILINE)
 _RAW_COUNTS = {"K": 9, "D": 5, "R": 9, "T": 3}  # numbers in the lines of the images before rectification
 _MAX_VALUE = 1e7  # largest plausible magnitude of a number in a projection; NaN and larger numbers are rejected
+_VIRTUAL = re.compile(r"^\s*frame\s+cameraID\s+K\[0,0\]", re.MULTILINE)  # head of Virtual KITTI's intrinsic.txt
+_VIRTUAL_BASELINE_M, _VIRTUAL_SIZE = 0.532725, (1242, 375)  # Virtual KITTI 2, europe.naverlabs.com: stereo cameras
 _COLOUR, _GREY = (2, 3), (0, 1)  # numbers of the left and right camera of each pair
 
 
@@ -63,13 +65,16 @@ def _read(text: str, source: object, is_grey: bool) -> RigCalibration:
     if lines := _nameless(text):
         return _read_nameless(lines, source)
     matrix = {number: _matrix(values, f"{source}: P{number}") for number, values in _lines(text, "P")}
-    size = {number: _size(values, f"{source}: S_rect_0{number}") for number, values in _lines(text, "S")}
+    size = {number: _size(values, f"{source}: S_rect_{number:02d}") for number, values in _lines(text, "S")}
     if not matrix:
         raise RigError(
             f"{source}: expected the projection matrices P_rect_02 and P_rect_03, found none; give the complete "
             "calib_cam_to_cam.txt."
         )
     pairs = (_GREY, _COLOUR) if is_grey else (_COLOUR, _GREY)
+    if max(matrix) > max(_COLOUR):  # of other data sets, such as 101 and 103 of DrivingStereo
+        numbers = sorted(matrix, key=lambda number: -matrix[number][0, 3] / matrix[number][0, 0])[:2]
+        pairs = ((numbers[0], numbers[-1]), (numbers[0], numbers[-1]))
     left, right = next((pair for pair in pairs if pair[0] in matrix or pair[1] in matrix), pairs[0])
     if left not in matrix:
         raise RigError(f"{source}: expected P{left} of the left camera, found only P{right}; give the complete file.")
@@ -80,8 +85,8 @@ def _read(text: str, source: object, is_grey: bool) -> RigCalibration:
     if unrectified is None or not rectified.left.width_px:
         return rectified
     size_text = f"{rectified.left.width_px}x{rectified.left.height_px}"
-    note = f"{source}: P_rect_0{left} and P_rect_0{right}, for KITTI's rectified images of {size_text} px."
-    return replace(rectified, notes=(*notes, note), unrectified=unrectified)
+    note = f"{source}: P_rect_{left:02d} and P_rect_{right:02d}, for the rectified images of {size_text} px."
+    return replace(rectified, notes=(*notes, note), others=(unrectified,))
 
 
 def _read_nameless(lines: Sequence[str], source: object) -> RigCalibration:
@@ -143,11 +148,11 @@ def _unrectified(text: str, source: object, pair: tuple[int, int], notes: tuple[
                 )
     cameras, motions = [], []
     for number in pair:
-        names = [f"{kind}_0{number}" for kind in _RAW_COUNTS]
-        if f"S_0{number}" not in sizes or not all(name in values for name in names):
+        names = [f"{kind}_{number:02d}" for kind in _RAW_COUNTS]
+        if f"S_{number:02d}" not in sizes or not all(name in values for name in names):
             break
         k, distortion, r, t = (values[name] for name in names)
-        cameras.append(PinholeCamera.of_matrix(k.reshape(3, 3), sizes[f"S_0{number}"], distortion))
+        cameras.append(PinholeCamera.of_matrix(k.reshape(3, 3), sizes[f"S_{number:02d}"], distortion))
         motions.append(np.vstack([np.column_stack([r.reshape(3, 3), t]), [0.0, 0.0, 0.0, 1.0]]))
     if not cameras:
         return None
@@ -210,4 +215,49 @@ def _size(values: str, name: str) -> tuple[int, int]:
     return round(width), round(height)
 
 
-KITTI = RigFormat(name="kitti", title="KITTI's calib.txt", recognises=_has_projections, read=_read, missing=_missing)
+def _read_numbers(text: str, source: object, _is_grey: bool) -> RigCalibration:
+    """The pair of one camera matrix: FoundationStereo's K.txt with its baseline, Virtual KITTI's intrinsic.txt."""
+    if _VIRTUAL.search(text):
+        words = next((line.split() for line in text.splitlines() if re.match(r"^\s*\d", line)), [])
+        numbers = _numbers(" ".join(words), 6, f"{source}: first line of numbers")
+        fx, fy, cx, cy = numbers[2:]
+        size_px, baseline_m = _VIRTUAL_SIZE, _VIRTUAL_BASELINE_M
+        note = (
+            f"{source}: Virtual KITTI's intrinsic.txt; assumed: its baseline of {baseline_m} m, images of 1242x375 px."
+        )
+    else:
+        first, second = (line for line in text.splitlines() if line.strip())
+        k = _numbers(first, 9, f"{source}: camera matrix")
+        fx, fy, cx, cy = k[[0, 4, 2, 5]]
+        size_px, baseline_m = (0, 0), float(_numbers(second, 1, f"{source}: baseline")[0])
+        note = f"{source}: FoundationStereo's K.txt of rectified images; a baseline of {baseline_m:.5g} m."
+    if not (np.isfinite([fx, fy, cx, cy]).all() and max(abs(fx), abs(fy), abs(cx), abs(cy)) <= _MAX_VALUE):
+        raise RigError(
+            f"{source}: expected focal lengths and a principal point in pixels, found others; correct the file."
+        )
+    camera = PinholeCamera(float(fx), float(fy), float(cx), float(cy), *size_px)
+    right_from_left = np.eye(4)
+    right_from_left[0, 3] = -baseline_m
+    return RigCalibration(camera, camera, right_from_left, notes=(note,))
+
+
+def _is_numbers(text: str) -> bool:
+    """Whether a file is Virtual KITTI's, or one line of 9 numbers and one of a number."""
+    counts = [len(line.split()) for line in text.splitlines() if line.strip()][:3]
+    return _VIRTUAL.search(text) is not None or (counts == [9, 1] and all(map(_NUMBER.match, text.split())))
+
+
+KITTI = RigFormat(
+    name="kitti",
+    title="KITTI's calib.txt, or that of KITTI-360 or DrivingStereo",
+    recognises=_has_projections,
+    read=_read,
+    missing=_missing,
+)
+NUMBERS = RigFormat(
+    name="numbers",
+    title="FoundationStereo's K.txt or Virtual KITTI's intrinsic.txt",
+    recognises=_is_numbers,
+    read=_read_numbers,
+    missing=lambda _text, _path, _is_grey: "a baseline",
+)

@@ -8,25 +8,31 @@ from pathlib import Path
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.files.input_files import read_text
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.image_size import fitted_rig, fitted_to_size
 from track_range.stereo.geometry.rig import Mounting, RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import RigCalibration, check_camera, check_rig, shared_view_notes
+from track_range.stereo.rig_formats.body_frames import EUROC, VINS
+from track_range.stereo.rig_formats.devices import OAK, REALSENSE, ZED
 from track_range.stereo.rig_formats.kalibr import KALIBR
-from track_range.stereo.rig_formats.kitti import KITTI
+from track_range.stereo.rig_formats.kitti import KITTI, NUMBERS
+from track_range.stereo.rig_formats.matrices import EXPECTED, FORMATS
 from track_range.stereo.rig_formats.opencv import OPENCV
 from track_range.stereo.rig_formats.rig_format import RigFormat, RigWriter
 from track_range.stereo.rig_formats.rig_yaml import RIG_YAML
 from track_range.stereo.rig_formats.ros import ROS, read_folder
+from track_range.stereo.rig_formats.values.containers import calibration_text
+from track_range.stereo.rig_formats.values.partners import files_of
 
-RIG_FORMATS: tuple[RigFormat, ...] = (OPENCV, KALIBR, KITTI, ROS, RIG_YAML)
+_NAMED = {name: rig_format for name, rig_format in FORMATS.items() if name not in ("opencv", "matrices")}
+RIG_FORMATS: tuple[RigFormat, ...] = (
+    *(RIG_YAML, ZED, OAK, REALSENSE, EUROC, VINS, *_NAMED.values(), OPENCV, KALIBR, KITTI, NUMBERS, ROS),
+    FORMATS["matrices"],
+)
 """Formats in the order in which they are tried; the first that recognises a file reads it.
 
-OpenCV's precedes KITTI's, because both have lines P1 and P2.
+OpenCV's precedes KITTI's, because both have lines P1 and P2. The last one reads any matrices by name.
 """
-
-FORMAT_TITLES = ", ".join(rig_format.title for rig_format in RIG_FORMATS[::-1])  # list of the formats for messages
 _SCALE_TOLERANCE = 0.01  # largest relative difference of the factors by which left and right images are scaled
 
 
@@ -40,19 +46,23 @@ def load_rig(
     implausible or for other images.
     """
     calibration = read_calibration(path, is_grey=is_grey, is_pair=True).of_size(size_px)
-    if calibration.right is None or calibration.right_from_left is None:
+    if (rig := calibration.checked_rig(path)) is None:
         raise RigError(
             f"{path}: expected {missing_camera(path, is_grey=is_grey)}, found one camera; give a file with both "
             "cameras, or run on one video with --mono."
         )
-    given = StereoRig(calibration.left, calibration.right, calibration.right_from_left)
-    check_rig(given, path)
-    right_size_px = right_size_px or size_px
-    if right_size_px != size_px:
-        _check_sizes((calibration.left, calibration.right), (size_px, right_size_px), path)
-    rig, size_notes = fitted_rig(given, (size_px, right_size_px), path)
+    return _fitted(rig, calibration.notes, path, (size_px, right_size_px or size_px))
+
+
+def _fitted(
+    rig: StereoRig, notes: tuple[str, ...], path: Path, sizes_px: tuple[tuple[int, int], tuple[int, int]]
+) -> tuple[StereoRig, tuple[str, ...]]:
+    """The rig for images of two sizes, and notes."""
+    if sizes_px[0] != sizes_px[1]:
+        _check_sizes((rig.left, rig.right), sizes_px, path)
+    rig, size_notes = fitted_rig(rig, sizes_px, path)
     check_rig(rig, path)
-    return rig, (*calibration.notes, *size_notes, *shared_view_notes(rig, path))
+    return rig, (*notes, *size_notes, *shared_view_notes(rig, path))
 
 
 def _check_sizes(
@@ -86,22 +96,25 @@ def load_camera(
 
 
 def load_calibration(
-    path: Path, *, size_px: tuple[int, int] | None = None, is_grey: bool = False
+    path: Path,
+    *,
+    size_px: tuple[int, int] | None = None,
+    is_grey: bool = False,
+    metres_per_unit: float | None = None,
 ) -> tuple[PinholeCamera | StereoRig, tuple[str, ...]]:
-    """The rig of a file, or its only camera, and notes for the user; see `load_rig` and `load_camera`."""
-    calibration = read_calibration(path, is_grey=is_grey, is_pair=True).of_size(size_px)
-    if calibration.right is None or calibration.right_from_left is None:
+    """The rig of a file, or its only camera, and notes for the user; see `load_rig` and `load_camera`.
+
+    `metres_per_unit` is the unit of the lengths in the file, None = by the format, the file or their size.
+    """
+    calibration = read_calibration(path, is_grey=is_grey, is_pair=True).in_unit(metres_per_unit).of_size(size_px)
+    if (rig := calibration.checked_rig(path)) is None:
         return load_camera(path, size_px=size_px, is_grey=is_grey)
-    if size_px is not None:
-        return load_rig(path, size_px=size_px, is_grey=is_grey)
-    rig = StereoRig(calibration.left, calibration.right, calibration.right_from_left)
-    check_rig(rig, path)
-    return rig, calibration.notes
+    return (rig, calibration.notes) if size_px is None else _fitted(rig, calibration.notes, path, (size_px, size_px))
 
 
 def missing_camera(path: Path, *, is_grey: bool = False) -> str:
     """What a file with one camera lacks for a rig, for messages; RigError if the file is not a calibration."""
-    rig_format, text = _format_of(path)
+    rig_format, text = format_of(path)
     return rig_format.missing(text, path, is_grey)
 
 
@@ -128,25 +141,42 @@ def find_rig(left_video: Path) -> Path | None:
     return next((candidate for candidate in candidates if candidate.is_file()), None)
 
 
-def _format_of(path: Path) -> tuple[RigFormat, str]:
-    text = read_text(path, RigError, f"a rig ({FORMAT_TITLES})")
-    for rig_format in RIG_FORMATS:
-        if rig_format.recognises(text):
-            return rig_format, text
-    raise RigError(
-        f"{path}: expected a rig in a known format, found no key 'track_range_rig' or similar; give {FORMAT_TITLES}."
-    )
+def format_of(path: Path) -> tuple[RigFormat, str]:
+    """The format of a calibration file, and its text; raises RigError if it cannot be read."""
+    text = calibration_text(path, EXPECTED)
+    return next(rig_format for rig_format in RIG_FORMATS if rig_format.recognises(text)), text
 
 
 def read_calibration(path: Path, *, is_grey: bool, is_pair: bool) -> RigCalibration:
     """Content of a file, or of the two camera_info of ROS in a folder, for two cameras or one."""
     if os.path.isdir(path):
-        return read_folder(path)
-    rig_format, text = _format_of(path)
+        return _read_folder(path, is_grey=is_grey)
+    rig_format, text = format_of(path)
     read = (rig_format.read_pair or rig_format.read) if is_pair else rig_format.read
     return read(text, path, is_grey)
 
 
+def _read_folder(folder: Path, *, is_grey: bool) -> RigCalibration:
+    """The pair in a folder: two camera_info of ROS, else the first file that leads to one, also in cam0 or left."""
+    if (rig := read_folder(folder)) is not None:
+        return rig
+    inside = [folder / name for name in ("mav0/cam0", "cam0", "left") if (folder / name).is_dir()]
+    single = []
+    for file in (file for place in (folder, *inside) for file in files_of(place)):
+        try:
+            rig_format, text = format_of(file)
+            calibration = (rig_format.read_pair or rig_format.read)(text, file, is_grey)
+        except RigError:
+            continue
+        if calibration.right is not None:
+            return calibration
+        single.append(file.name)
+    raise RigError(
+        f"{folder}: expected a folder with ROS's camera_info of two cameras in YAML, or a calibration of a pair, found "
+        f"{len(single)} calibrations of one camera; give a file."
+    )
+
+
 def rig_writers() -> dict[str, RigWriter]:
     """The writers by name of the format, rig.yaml's first."""
-    return {rig_format.name: rig_format.write for rig_format in RIG_FORMATS[::-1] if rig_format.write is not None}
+    return {rig_format.name: rig_format.write for rig_format in RIG_FORMATS if rig_format.write is not None}

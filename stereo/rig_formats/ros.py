@@ -25,16 +25,24 @@ from track_range.stereo.geometry.rig import RigError
 from track_range.stereo.geometry.rig_checks import ImageSide, RigCalibration
 from track_range.stereo.rig_formats.camera_info import CameraInfo, camera_of, is_undistorted, rig_of
 from track_range.stereo.rig_formats.rig_format import RigFormat
+from track_range.stereo.rig_formats.values.partners import files_of, other_sides, partner_of
 
 _TITLE = "ROS's camera_info"
 _EXPECTED = "a camera_info of ROS"
 # Keys at the start of a line, one of which every camera_info has.
 _RECOGNISED = re.compile(r"^(?:(?:camera|projection)_matrix|[kKpP])[ \t]*:", re.MULTILINE)
+_HAS_SIZE = re.compile(r"^(?:image_)?width[ \t]*:|^projection_matrix|^[pP][ \t]*:", re.MULTILINE)  # scripts have none
+_OST = re.compile(r"^# oST|^\[image\]\s*$", re.MULTILINE)  # camera_calibration's text file
+_OST_NAMES = {
+    "width": "image_width",
+    "height": "image_height",
+    "camera matrix": "camera_matrix",
+    "distortion": "distortion_coefficients",
+    "rectification": "rectification_matrix",
+    "projection": "projection_matrix",
+}
 _SEPARATOR = re.compile(r"^---[^\n]*$", re.MULTILINE)  # line between two YAML documents
-_OTHER_SIDE = {"left": "right", "right": "left", "Left": "Right", "Right": "Left", "LEFT": "RIGHT", "RIGHT": "LEFT"}
-
 _SUFFIXES = (".yaml", ".yml")
-_MAX_FILES = 50  # largest number of YAML files in a folder that are searched for cameras
 
 
 def _data_of(value: object) -> object:
@@ -93,7 +101,32 @@ class _Camera(NamedTuple):
 
 
 def _is_camera_info(text: str) -> bool:
-    return _RECOGNISED.search(text) is not None
+    if _OST.search(text):
+        return True
+    return _RECOGNISED.search(text) is not None and _HAS_SIZE.search(text) is not None
+
+
+def _ost_documents(text: str) -> list[dict[str, object]]:
+    """The keys and numbers of each camera of an ost.txt, under a name in brackets; the size is that of the last one."""
+    documents: list[dict[str, object]] = []
+    common: dict[str, object] = {}
+    key, numbers = "", list[str]()
+
+    def finish() -> None:
+        if key and numbers:
+            values: object = int(float(numbers[0])) if key in ("width", "height") else [float(word) for word in numbers]
+            (common if key in ("width", "height") else documents[-1] if documents else common)[_OST_NAMES[key]] = values
+
+    for line in [*map(str.strip, text.splitlines()), "[end]"]:
+        words = line.split()
+        if line in _OST_NAMES or line.startswith("["):
+            finish()
+            key, numbers = line if line in _OST_NAMES else "", []
+            if line.startswith("[") and line not in ("[image]", "[end]"):
+                documents.append({})
+        elif words and all(re.fullmatch(r"[-+]?\d+\.?\d*(?:[eE][-+]?\d{1,3})?", word) for word in words):
+            numbers += words[:20]
+    return [common | document for document in documents] or [common]
 
 
 def _read(text: str, path: Path, _is_grey: bool) -> RigCalibration:
@@ -109,27 +142,25 @@ def _read(text: str, path: Path, _is_grey: bool) -> RigCalibration:
 def _read_pair(text: str, path: Path, is_grey: bool) -> RigCalibration:
     """As `_read`; the other camera of a file with one is that of the file for the other side, if there is one."""
     cameras = _cameras(text, path)
-    if len(cameras) == 1 and (partner := _partner(path)) is not None:
+    if len(cameras) == 1 and (partner := partner_of(path)) is not None:
         cameras += _cameras(read_text(partner, RigError, _EXPECTED), partner)
     return _pair(cameras[0], cameras[1], path) if len(cameras) == 2 else _read(text, path, is_grey)
 
 
-def read_folder(folder: Path) -> RigCalibration:
-    """The two cameras of the files in a folder; RigError if there are not two, or a file cannot be read."""
-    paths = sorted(path for path in folder.iterdir() if path.suffix in _SUFFIXES)[:_MAX_FILES]
+def read_folder(folder: Path) -> RigCalibration | None:
+    """The two cameras of the camera_info in a folder; None if there are not two; RigError if a file cannot be read."""
+    paths = [path for path in files_of(folder) if path.suffix in _SUFFIXES]
     texts = {path: read_text(path, RigError, _EXPECTED) for path in paths}
     cameras = [camera for path, text in texts.items() if _is_camera_info(text) for camera in _cameras(text, path)]
-    if len(cameras) != 2:
-        raise RigError(
-            f"{folder}: expected a folder with {_TITLE} of two cameras in YAML, found {len(cameras)}; give a file."
-        )
-    return _pair(cameras[0], cameras[1], folder)
+    return _pair(cameras[0], cameras[1], folder) if len(cameras) == 2 else None
 
 
 def _cameras(text: str, path: Path) -> list[_Camera]:
     """The different cameras of a file, in its order; repeated messages count once."""
     cameras: dict[tuple[object, ...], _Camera] = {}
     start = 0
+    if _OST.search(text):
+        return _checked([_camera(document, path) for document in _ost_documents(text)[:3]], path)
     for end in [*(match.start() for match in _SEPARATOR.finditer(text)), len(text)]:
         lines_before = "\n" * text.count("\n", 0, start)  # so that errors have the line of the file
         content = parse_yaml(lines_before + _SEPARATOR.sub("", text[start:end]), path, RigError, _EXPECTED)
@@ -138,9 +169,13 @@ def _cameras(text: str, path: Path) -> list[_Camera]:
             camera = _camera(content, path)
             k, r, p = (tuple(part.ravel().tolist()) for part in (camera.info.k, camera.info.r, camera.info.p))
             cameras.setdefault((camera.info.size_px, k, r, p), camera)
+    return _checked(list(cameras.values()), path)
+
+
+def _checked(cameras: list[_Camera], path: Path) -> list[_Camera]:
     if not 1 <= len(cameras) <= 2:
         raise RigError(f"{path}: expected {_TITLE} of one or two cameras, found {len(cameras)}; give one per camera.")
-    return list(cameras.values())
+    return cameras
 
 
 def _camera(content: object, path: Path) -> _Camera:
@@ -194,21 +229,9 @@ def _assumption(*, is_rectified: bool) -> str:
     return "the images are taken as raw (image_raw); if they are rectified (image_rect), remove K and D from the YAML"
 
 
-def _partner(path: Path) -> Path | None:
-    """The file of the other camera: the same name, or the same name in the folder, of the other side; None = none."""
-    name = _other_side(path.name)
-    swapped = (path.with_name(name), path.parent.parent / _other_side(path.parent.name) / name)
-    return next((candidate for candidate in swapped if candidate != path and candidate.is_file()), None)
-
-
-def _other_side(name: str) -> str:
-    """A file name of the other side; the same name without one."""
-    return re.sub("|".join(_OTHER_SIDE), lambda match: _OTHER_SIDE[match[0]], name)
-
-
 def _missing(_text: str, path: Path, _is_grey: bool) -> str:
-    partner = _other_side(path.name)
-    place = "in a second file beside it (left.yaml, right.yaml)" if partner == path.name else f"in {partner} beside it"
+    partner = next(other_sides(path.name), None)
+    place = f"in {partner} beside it" if partner else "in a second file beside it (left.yaml, right.yaml)"
     return f"{_TITLE} of the other camera {place} or after a line --- in this file"
 
 

@@ -103,10 +103,10 @@ def test_incomplete_opencv_files(tmp_path: Path) -> None:
         assert key_word in refused(path)
         path.unlink()
     text = intrinsics.read_text() + extrinsics.read_text().split("---\n", 1)[1]
-    vector = text.replace("R: !!opencv-matrix\n   rows: 3\n   cols: 3", "R: !!opencv-matrix\n   rows: 3\n   cols: 1")
+    vector = text.replace("R: !!opencv-matrix\n   rows: 3\n   cols: 3", "R: !!opencv-matrix\n   rows: 1\n   cols: 4")
     head, tail = vector.split("R: !!opencv-matrix", 1)
     data_from, data_to = tail.index("data: ["), tail.index("]")
-    vector = head + "R: !!opencv-matrix" + tail[:data_from] + "data: [ 0., 0.01, 0. " + tail[data_to:]
+    vector = head + "R: !!opencv-matrix" + tail[:data_from] + "data: [ 0., 0.01, 0., 1. " + tail[data_to:]
     assert "9 numbers in R" in refused(written(alone, vector, "both.yml"))
 
 
@@ -132,7 +132,9 @@ def test_opencv_left_camera_only(tmp_path: Path) -> None:
 
 
 def test_opencv_baseline_in_millimetres(tmp_path: Path) -> None:
-    assert "120" in refused(opencv_files(tmp_path, baseline=120.0)[0])
+    rig, notes = load_rig(opencv_files(tmp_path, baseline=120.0)[0], size_px=SIZE)
+    assert rig.baseline_m == pytest.approx(0.12)
+    assert "read as millimetres" in notes[0]
 
 
 def fisheye_file(path: Path, names: tuple[str, str], *, flag: int | None) -> Path:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import pytest
 
 from tests.stereo.board_scenes import CAMERA, rig
+from tests.stereo.test_device_calibrations import ZED
+from track_range.stereo.geometry.rig import RigError
 from track_range.stereo.rig_formats.reading import load_calibration, load_rig
 from track_range.stereo.rig_formats.rig_yaml import save_camera, save_rig
 
@@ -95,3 +97,35 @@ def test_wrong_usage(tmp_path, cli):
     ):
         actual_status, _, complaint = cli("rig", *arguments)
         assert (actual_status, message in complaint) == (status, True), complaint
+
+
+def test_sections_units_and_recognition_are_shown(tmp_path, cli):
+    zed = tmp_path / "SN1.conf"
+    zed.write_text(ZED)
+    status, printed, _ = cli("rig", "show", zed)
+    assert (status, "672x376 px" in printed, "1280" in printed) == (0, True, True)
+    assert "Recognised: ZED's SN*.conf; lengths in the file: millimetres." in printed
+    assert "672x376 px (" not in cli("rig", "show", zed, "--size", "1280x720")[1]
+    assert "baseline 1.2000 m" in cli("rig", "show", zed, "--unit", "cm")[1]
+    status, _, complaint = cli("rig", "show", zed, "--unit", "ft")
+    assert (status, "--unit ft" in complaint) == (2, True)
+    assert cli("rig", "convert", zed, tmp_path / "rig.yaml", "--size", "672x376")[0] == 0
+    assert load_rig(tmp_path / "rig.yaml", size_px=(672, 376))[0].right.fx_px == 351
+
+
+def test_template(tmp_path, cli):
+    source, out = tmp_path / "stereo.json", tmp_path / "rig.yaml"
+    source.write_text('{"K1": [[500, 0, 320], [0, 501, 240], [0, 0, 1]], "D1": [0.1, 0, 0, 0], "T": [-0.12, 0, 0]}')
+    status, printed, _ = cli("rig", "template", source)
+    assert (status, "fx_px: 500.0" in printed, "no M2, D2, R" in printed) == (0, True, True)
+    status, printed, _ = cli("rig", "template", source, "--out", out)
+    assert (status, "11 blanks" in printed) == (0, True)
+    with pytest.raises(RigError, match=r"left\.width_px"):
+        load_calibration(out)
+    source.write_text(KITTI)
+    assert cli("rig", "template", source, "--out", out)[0] == 0
+    text = out.read_text()
+    assert text.count(":  #") == 5  # two sizes, and the heading
+    out.write_text(text.replace("width_px:  #", "width_px: 1242  #").replace("height_px:  #", "height_px: 375  #"))
+    assert load_rig(out, size_px=(1242, 375))[0].baseline_m == pytest.approx(0.5)
+    assert cli("rig", "template", tmp_path / "absent.yml")[0] == 1

@@ -12,17 +12,28 @@ from track_range.cli.console import console, print_grid, print_line
 from track_range.cli.lazy import Lazy, lazy_app
 from track_range.cli.parameters import command
 from track_range.foundation.errors import UsageError
-from track_range.foundation.files.input_files import real_path
+from track_range.foundation.files.input_files import counted, real_path
 from track_range.foundation.options import Options, option
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rectification import Rectifier
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.virtual_pinhole import field_of_view
-from track_range.stereo.rig_formats.reading import left_from_reference_m, load_calibration, mounting_of, rig_writers
+from track_range.stereo.rig_formats.matrices import UNIT_NAMES
+from track_range.stereo.rig_formats.reading import (
+    format_of,
+    left_from_reference_m,
+    load_calibration,
+    mounting_of,
+    read_calibration,
+    rig_writers,
+)
+from track_range.stereo.rig_formats.rig_format import write_rig_text
 from track_range.stereo.rig_formats.rig_yaml import save_camera
+from track_range.stereo.rig_formats.template import rig_template
 from track_range.views.report.tables import Column, grid_of
 
 _Size = Annotated[str | None, option("Size of the images in pixels, for formats without it.", metavar="WIDTHxHEIGHT")]
+_Unit = Annotated[str | None, option("Unit of the lengths in the file, if another one was read.", metavar="mm|cm|m")]
 
 
 class ConvertOptions(Options):
@@ -39,6 +50,7 @@ class ConvertOptions(Options):
         ),
     ] = "ours"
     size: _Size = None
+    unit: _Unit = None
 
 
 class ShowOptions(Options):
@@ -46,8 +58,18 @@ class ShowOptions(Options):
 
     source: Annotated[Path, option("Calibration file in any supported format.", metavar="FILE", is_argument=True)]
     size: _Size = None
+    unit: _Unit = None
 
 
+class TemplateOptions(Options):
+    """Options of `track-range rig template`."""
+
+    source: Annotated[Path, option("Calibration file of any kind.", metavar="FILE", is_argument=True)]
+    out: Annotated[Path | None, option("File to write; without it, the text is printed.")] = None
+    unit: _Unit = None
+
+
+_UNITS = {"mm": 0.001, "cm": 0.01, "m": 1.0}  # metres
 _OURS = "ours"  # the format rig.yaml
 _MAX_SIDE_PX = 20_000  # rectification maps of larger images would not fit into memory
 _SHOWN_M = np.array([10.0, 30.0, 60.0])  # distances for which disparities are shown
@@ -60,7 +82,7 @@ def _convert(options: ConvertOptions) -> None:
     if real_path(source) == real_path(out):
         raise UsageError(f"{out}: expected a file other than the input; choose another name for OUT.")
     size_px = _size_of(options.size)
-    calibration, loading_notes = load_calibration(source, size_px=size_px)
+    calibration, loading_notes = load_calibration(source, size_px=size_px, metres_per_unit=_unit_of(options.unit))
     camera = calibration.left if isinstance(calibration, StereoRig) else calibration
     if not camera.width_px:
         raise RigError(f"{source}: expected an image size, found none; give --size WIDTHxHEIGHT.")
@@ -85,13 +107,24 @@ def _convert(options: ConvertOptions) -> None:
 
 
 def _show(options: ShowOptions) -> None:
-    calibration, notes = load_calibration(options.source, size_px=_size_of(options.size))
+    source, size_px, metres_per_unit = options.source, _size_of(options.size), _unit_of(options.unit)
+    calibration, notes = load_calibration(source, size_px=size_px, metres_per_unit=metres_per_unit)
+    content = read_calibration(source, is_grey=False, is_pair=True).in_unit(metres_per_unit)
+    if source.is_file():
+        unit = f"; lengths in the file: {UNIT_NAMES.get(content.metres_per_unit, 'metres')}" if content.right else ""
+        print_line(console, f"Recognised: {format_of(source)[0].title}{unit}.")
     if isinstance(calibration, StereoRig):
         cameras = {"left": calibration.left, "right": calibration.right}
     else:
         cameras = {"camera": calibration}
     columns = _camera_columns(list(cameras.values()))
-    print_grid(console, grid_of(str(options.source), "camera", list(cameras), columns))
+    print_grid(console, grid_of(str(source), "camera", list(cameras), columns))
+    for other in content.others if size_px is None else ():
+        section = [camera for camera in (other.left, other.right) if camera is not None]
+        size = f"{other.left.width_px}x{other.left.height_px} px (--size {other.left.width_px}x{other.left.height_px})"
+        print_grid(
+            console, grid_of(f"Images of {size}", "camera", list(cameras)[: len(section)], _camera_columns(section))
+        )
     for name, camera in cameras.items():
         terms = ", ".join(f"{term:.5g}" for term in camera.distortion) or "none"
         model = f" of the lens model {camera.lens}" if camera.is_wide else ""
@@ -99,6 +132,22 @@ def _show(options: ShowOptions) -> None:
     if isinstance(calibration, StereoRig):
         _show_pair(calibration, options.source)
     print_line(console, *notes)
+
+
+def _template(options: TemplateOptions) -> None:
+    text = rig_template(options.source, metres_per_unit=_unit_of(options.unit))
+    if options.out is None:
+        print_line(console, text.rstrip("\n"))
+        return
+    write_rig_text(options.out, text)
+    n_blanks = sum(":  #" in line for line in text.splitlines()) - 1  # that of right_from_left is a heading
+    print_line(console, f"Written: {options.out}, {counted(n_blanks, 'blank')} to fill in.")
+
+
+def _unit_of(text: str | None) -> float | None:
+    if text is not None and text not in _UNITS:
+        raise UsageError(f"--unit {text}: expected mm, cm or m.")
+    return None if text is None else _UNITS[text]
 
 
 def _camera_columns(cameras: list[PinholeCamera]) -> list[Column]:
@@ -159,12 +208,18 @@ def _size_of(text: str | None) -> tuple[int, int] | None:
 
 convert_app = command(ConvertOptions, _convert)
 show_app = command(ShowOptions, _show)
+template_app = command(TemplateOptions, _template)
 app = lazy_app(
     {
         "show": Lazy(
             "track_range.cli.commands.rig:show_app",
             "Show angles of view, baseline, and metres per pixel of disparity.",
             examples=("track-range rig show rig.yaml", "track-range rig show calib.txt --size 1242x375"),
+        ),
+        "template": Lazy(
+            "track_range.cli.commands.rig:template_app",
+            "Write a rig.yaml with what could be read of a file, and blanks for the rest.",
+            examples=("track-range rig template calib.yml --out rig.yaml",),
         ),
         "check": Lazy(
             "track_range.cli.commands.align:check_app",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import numpy.typing as npt
@@ -24,19 +24,24 @@ def read_array(path: Path, error: type[Exception], expected: str) -> npt.NDArray
     """
     with open_regular(path, error, expected, max_bytes=MAX_ARRAY_BYTES) as file:
         try:
-            version = np.lib.format.read_magic(file)
-            if version not in _HEADER_READERS:  # version 3 is for structured arrays only
-                raise ValueError(f"format version {version[0]}.{version[1]}")
-            shape, _, dtype = _HEADER_READERS[version](file)
-            if dtype.kind not in "iuf":
-                raise ValueError(f"values of the type {quoted(str(dtype), 40)}")
-            n_announced, n_bytes = math.prod(shape) * dtype.itemsize, os.fstat(file.fileno()).st_size - file.seek(0, 1)
-            if n_announced != n_bytes:
-                raise ValueError(f"the header announces {n_announced} bytes, found {n_bytes}")
-            file.seek(0)
-            return np.lib.format.read_array(file, allow_pickle=False)
+            return parse_array(file, os.fstat(file.fileno()).st_size)
         except Exception as reason:  # the parser of the header raises a dozen unrelated types
             problem = shortened(str(reason).partition("\n")[0], 120)
             raise error(
                 f"{path}: expected {expected} as an array of numbers (.npy), found an error: {problem}."
             ) from reason
+
+
+def parse_array(file: BinaryIO, size_bytes: int) -> npt.NDArray[Any]:
+    """The array of numbers in a .npy file of `size_bytes`; raises ValueError and others if it is none."""
+    version = np.lib.format.read_magic(file)
+    if version not in _HEADER_READERS:  # version 3 is for structured arrays only
+        raise ValueError(f"format version {version[0]}.{version[1]}")
+    shape, _, dtype = _HEADER_READERS[version](file)
+    if dtype.kind not in "iuf":
+        raise ValueError(f"values of the type {quoted(str(dtype), 40)}")
+    n_announced, n_bytes = math.prod(shape) * dtype.itemsize, size_bytes - file.seek(0, 1)
+    if n_announced != n_bytes:
+        raise ValueError(f"the header announces {n_announced} bytes, found {n_bytes}")
+    file.seek(0)
+    return np.lib.format.read_array(file, allow_pickle=False)

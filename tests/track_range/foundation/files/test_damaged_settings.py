@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import struct
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,8 +13,11 @@ import cv2
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
+from scipy.io import savemat
 
 from tests.damaged_text import check_damaged, damaged
+from tests.stereo import test_device_calibrations as device
+from tests.stereo.test_calibration_names import NAMES, matlab, plain, values
 from track_range.detection.formats.image_labels.yolo_labels import names_for_folder
 from track_range.detection.models.metadata import ModelOptions, read_metadata
 from track_range.detection.training.data.data_yaml import read_data_yaml
@@ -77,6 +82,22 @@ READERS: dict[str, tuple[str, str, Callable[[Path], object]]] = {
         "P2: 700 0 320 0 0 700 180 0 0 0 1 0\nP3: 700 0 320 -350 0 700 180 0 0 0 1 0\nS_rect_02: 6.4e+02 3.6e+02\n",
         load_calibration,
     ),
+    **{
+        name: (file, text, load_calibration)
+        for name, file, text in (
+            ("zed", "SN1.conf", device.ZED),
+            ("oak", "calib.json", json.dumps(device.oak())),
+            ("realsense", "rs.txt", device.REALSENSE + device.EXTRINSIC),
+            ("ost", "ost.txt", device.ost(-108.0, ("narrow_stereo/left", "narrow_stereo/right"))),
+            ("euroc", "sensor.yaml", yaml_text(device.euroc_camera(0))),
+            ("vins", "camera.yaml", device.vins_camera(0, "MEI")),
+            ("orb-slam", "settings.yaml", device.orb(*device.focal("Camera1", 718.856), "Stereo.b: 0.53716")),
+            ("middlebury", "calib.txt", device.MIDDLEBURY),
+            ("K.txt", "K.txt", "754.5 0.0 489.25 0.0 754.5 265.125 0.0 0.0 1.0\n0.063\n"),
+            ("names in JSON", "stereo.json", json.dumps(plain(values(NAMES[4])))),
+            ("printed", "stereo.txt", "\n".join(f"{name}:\n{np.asarray(v)}" for name, v in values(NAMES[0]).items())),
+        )
+    },
     "alignment": ("align.yaml", yaml_text(ALIGNMENT), load_alignment),
     "table": ("curves.json", json.dumps(CURVES), load_curves),
     "log-linear": ("curves.json", json.dumps(LOG_LINEAR), load_curves),
@@ -113,6 +134,41 @@ def test_truncated_opencv_files(tmp_path: Path, kind: str) -> None:
     for length in range(0, len(text) - 40, 20):
         error = check_damaged(read, tmp_path / name, text[:length].encode())
         assert error is not None or kind == "opencv YAML"  # YAML may end after any matrix
+
+
+def binary_files(folder: Path) -> dict[str, bytes]:
+    """A calibration in NumPy's and MATLAB's formats."""
+    np.savez(folder / "a.npz", **values(NAMES[0]))
+    np.savez_compressed(folder / "b.npz", **values(NAMES[0]))
+    np.save(folder / "c.npy", np.eye(3))
+    savemat(folder / "d.mat", matlab(True))
+    savemat(folder / "e.mat", matlab(True), do_compression=True)
+    return {file.name: file.read_bytes() for file in sorted(folder.iterdir())}
+
+
+@pytest.mark.parametrize("number", range(5))
+@settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
+@given(data=st.data())
+def test_damaged_binary_calibrations(folder: Path, number: int, data: st.DataObject) -> None:
+    (folder / "binary").mkdir(exist_ok=True)
+    name, content = list(binary_files(folder / "binary").items())[number]
+    place = data.draw(st.integers(0, len(content) - 1))
+    byte = data.draw(st.binary(min_size=0, max_size=9))
+    check_damaged(
+        load_calibration, folder / f"{number}{name[1:]}", content[:place] + byte + content[place + len(byte) :]
+    )
+    check_damaged(load_calibration, folder / f"{number}{name[1:]}", content[:place])
+
+
+def test_large_content_is_not_unpacked(tmp_path: Path) -> None:
+    """100 MB of zeros in a .mat, and an .npz that announces more than it has."""
+    element = zlib.compress(bytes(100_000_000))
+    bomb = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + struct.pack("<II", 15, len(element)) + element
+    error = check_damaged(load_calibration, tmp_path / "a.mat", bomb)
+    assert "64 MB" in str(error)
+    np.savez_compressed(tmp_path / "b.npz", **values(NAMES[0]) | {"K1": np.zeros((4000, 4000))})
+    error = check_damaged(load_calibration, tmp_path / "b.npz", (tmp_path / "b.npz").read_bytes())
+    assert "M1" in str(error)  # 128 MB, left out
 
 
 MATRIX = "%YAML:1.0\n---\nM1: !!opencv-matrix\n   rows: {}\n   cols: {}\n   dt: {}\n   data: {}\n"

@@ -1,0 +1,71 @@
+"""A rig.yaml with what could be read of any calibration, and blanks for what is missing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.rig import RigError
+from track_range.stereo.rig_formats.matrices import EXPECTED, camera_values, partial_motion
+from track_range.stereo.rig_formats.reading import read_calibration
+from track_range.stereo.rig_formats.values.containers import calibration_text, plain_values
+from track_range.stereo.rig_formats.values.quantities import quantities_of
+
+_KEYS = ("fx_px", "fy_px", "cx_px", "cy_px", "width_px", "height_px")
+_HINTS = {
+    "fx_px": "focal length, pixels",
+    "cx_px": "principal point, pixels",
+    "width_px": "size of the images, pixels",
+    "distortion": "k1, k2, p1, p2, k3 of OpenCV; [] = undistorted images",
+}
+
+
+def rig_template(path: Path, *, metres_per_unit: float | None = None) -> str:
+    """Text of a rig.yaml, with the meaning of a key where its value is missing. Raises RigError for no such file.
+
+    `metres_per_unit` is the unit of the lengths in the file, None = by the file or their size.
+    """
+    reason = ""
+    cameras: list[dict[str, object]] = [{}, {}]
+    motion = None
+    try:
+        calibration = read_calibration(path, is_grey=False, is_pair=True).in_unit(metres_per_unit)
+        cameras = [{} if camera is None else _values(camera) for camera in (calibration.left, calibration.right)]
+        motion = None if calibration.unit_doubt else calibration.right_from_left
+        reason = calibration.unit_doubt
+    except RigError as error:
+        if not path.exists():
+            raise
+        reason = str(error)
+        try:
+            given = quantities_of(plain_values(calibration_text(path, EXPECTED), path, EXPECTED), path)
+            cameras, motion = [camera_values(given, number) for number in (0, 1)], partial_motion(given, path)
+        except RigError:
+            pass
+    lines = [
+        f"# from {path.name}; fill in the blanks, in pixels and metres, and remove what a single camera does not have"
+    ]
+    lines += [f"# {reason}"] if reason else []
+    lines.append("track_range_rig: 1")
+    for name, values in zip(("left", "right"), cameras, strict=True):
+        lines.append(f"{name}:")
+        for key in (*_KEYS, "distortion"):
+            value = values.get(key)
+            lines.append(f"  {key}: {value}" if value is not None else f"  {key}:  # {_HINTS.get(key, 'missing')}")
+    lines.append("right_from_left:  # x_right = rotation x_left + translation_m")
+    if motion is None:
+        lines += ["  rotation:  # [[1, 0, 0], [0, 1, 0], [0, 0, 1]] of parallel cameras"]
+        lines += ["  translation_m:  # [-0.12, 0, 0]: a right camera 0.12 m to the right"]
+    else:
+        lines += [f"  rotation: {motion[:3, :3].tolist()}", f"  translation_m: {motion[:3, 3].tolist()}"]
+    return "\n".join(lines) + "\n"
+
+
+def _values(camera: PinholeCamera) -> dict[str, object]:
+    values: dict[str, object] = {key: getattr(camera, key) for key in _KEYS}
+    if not camera.width_px:
+        values |= {"width_px": None, "height_px": None}
+    distortion = np.array(camera.distortion).tolist()
+    return values | {"distortion": f"{distortion}\n  lens: {camera.lens}" if camera.is_wide else distortion}

@@ -1,0 +1,245 @@
+"""Containers of calibrations: YAML, XML, JSON, INI, assignments, NumPy's and MATLAB's files, as text or plain values.
+
+    file -> text (`calibration_text`; arrays of .npy, .npz and .mat as JSON) -> values by key (`plain_values`)
+
+Pickles are never loaded, archives never unpacked beyond the sizes of calibrations, and large arrays (remap tables,
+chessboard corners) are left out.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import re
+import zipfile
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from track_range.foundation.files.array_files import parse_array
+from track_range.foundation.files.input_files import (
+    MAX_TEXT_BYTES,
+    open_regular,
+    quoted,
+    read_bytes,
+    read_text,
+    shortened,
+)
+from track_range.foundation.files.structured_text import parse_json, parse_yaml
+from track_range.stereo.geometry.rig import RigError
+from track_range.stereo.rig_formats.values.mat_file import MARK, MatFile
+
+MAX_NUMBERS = 196  # largest number of numbers in a matrix of a calibration: 14 x 14
+_MAX_ARRAYS = 200  # arrays of an .npz
+_MAX_BYTES = 64_000_000  # of a file with remap tables
+_PICKLE = re.compile(rb"\x80[\x02-\x05]")  # the protocols 2 to 5
+_PICKLE_ADVICE = (
+    "which can run programs and is not opened; save its matrices with numpy.savez('calib.npz', K1=K1, D1=D1, K2=K2, "
+    "D2=D2, R=R, T=T)"
+)
+_MATLAB_ADVICE = (
+    "in MATLAB: s = toStruct(stereoParams); save('stereo.mat', 's', '-v7'), or write K1, D1, K2, D2, R and T with "
+    "jsonencode to a .json"
+)
+_BINARY = (  # begin of the content, what it is, what to do
+    (b"\x89HDF", "a MATLAB file of version 7.3 (HDF5)", _MATLAB_ADVICE),
+    (b"\x89PNG", "a picture", "give the file of the calibration"),
+    (
+        b"\xff\xd8\xff",
+        "a picture",
+        "give the file of the calibration, or calibrate with such pictures: calibrate --stereo",
+    ),
+    (b"SVO", "a recording of a ZED", "give its factory calibration, SN followed by the serial number, .conf"),
+    (b"\x89MCAP", "a bag", "give it as the recording; its camera_info is read from there"),
+    (b"#ROSBAG", "a bag", "give it as the recording; its camera_info is read from there"),
+    (b"\x1f\x8b", "a gzip archive", "unpack it first"),
+    (b"%PDF", "a document", "type its numbers into a rig.yaml (track-range rig template FILE)"),
+)
+_LARGE = re.compile(r"(data:\s*\[|<data>|\"data\":\s*\[)[^\]<]{4000,}")  # numbers of large matrices
+_YAML_HEAD = re.compile(r"\A\s*%YAML[^\n]*\n|!!opencv-[a-z-]+|^(?:---|\.\.\.)[ \t]*$", re.MULTILINE)
+_NO_SPACE = re.compile(r"^([ \t]*[A-Za-z][\w.]*):(?=[-\[\d.])", re.MULTILINE)  # OpenCV allows it, YAML does not
+_SECTION = re.compile(r"^\s*\[([A-Za-z][\w ./-]*)\]\s*$", re.MULTILINE)
+_ASSIGNMENT = re.compile(
+    r"^[ \t]*(?:self\.)?([A-Za-z_][\w. ]{0,40}?)[ \t]*[:=]\s*(?:np\.|numpy\.)?(?:array|matrix|mat)?\(?\s*"
+    r"(\[[-+\d.eE,;\s\[\]]*\]|[-+]?\d[\d.]*(?:[eE][-+]?\d+)?)",
+    re.MULTILINE,
+)
+_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+
+
+def calibration_text(path: Path, expected: str) -> str:
+    """Text of a calibration file; NumPy's and MATLAB's files as JSON, without large arrays.
+
+    Raises RigError if the file cannot be read, is too large, or is another kind of file, which the message names.
+    """
+    with open_regular(path, RigError, expected) as file:
+        start = file.read(512) or b""
+    if start.startswith((b"PK\x03\x04", b"\x93NUMPY")):
+        return _numpy_text(path, expected)
+    if start.startswith(MARK):
+        return _matlab_text(path, expected)
+    if start.startswith(b"MATLAB 7.3"):
+        raise RigError(f"{path}: expected {expected}, found {_BINARY[0][1]}; {_MATLAB_ADVICE}.")
+    if _PICKLE.match(start):
+        raise RigError(f"{path}: expected {expected}, found a Python pickle, {_PICKLE_ADVICE}.")
+    for mark, noun, advice in _BINARY:
+        if start.startswith(mark):
+            raise RigError(f"{path}: expected {expected}, found {noun}; {advice}.")
+    is_storage = start.lstrip().startswith((b"%YAML", b"<?xml", b"<opencv_storage"))
+    text = read_text(path, RigError, expected, max_bytes=_MAX_BYTES if is_storage else MAX_TEXT_BYTES)
+    text = _LARGE.sub(r"\1", text) if is_storage else text
+    if len(text) > MAX_TEXT_BYTES:
+        raise RigError(f"{path}: expected {expected} of at most {MAX_TEXT_BYTES // 1_000_000} MB, found more.")
+    return text
+
+
+def plain_values(text: str, path: Path, expected: str) -> dict[str, Any]:
+    """Values by key of a calibration's text, numbers of matrices also as texts; raises RigError for broken syntax."""
+    start = text.lstrip()[:1]
+    if start == "<":
+        return _xml_values(text, path, expected)
+    if start == "{":
+        values = parse_json(text, path, RigError, expected)
+    elif _SECTION.search(text) and not re.search(r"^\s*\w+:", text, re.MULTILINE):
+        return _section_values(text)
+    elif not text.lstrip().startswith("%YAML") and (values := _assigned_values(text)):
+        return values
+    else:
+        values = parse_yaml(yaml_of_opencv(text), path, RigError, expected)
+    if not isinstance(values, dict):
+        raise RigError(
+            f"{path}: expected {expected} in a known format (with a key track_range_rig, or matrices by name such as "
+            f"K1 and D1), found {quoted(values)}; track-range rig template FILE writes a rig.yaml with blanks."
+        )
+    return values
+
+
+def yaml_of_opencv(text: str) -> str:
+    """YAML for the YAML of OpenCV's FileStorage, whose first line, tags and spaces differ; lines keep their number."""
+    if not text.lstrip().startswith("%YAML"):
+        return text
+    return _NO_SPACE.sub(r"\1: ", _YAML_HEAD.sub(lambda match: "\n" * match[0].count("\n"), text))
+
+
+def _assigned_values(text: str) -> dict[str, Any]:
+    """Numbers by name of `name = [...]` or `name: [[...]]` as NumPy, Middlebury and MATLAB print them; {} = YAML."""
+    if not re.search(r"^[ \t]*[\w.]+[ \t]*=|:\s*\n\s*\[\[|\[[^\]\n,]*\d[ \t]+[-\d][^\]]*\]", text, re.MULTILINE):
+        return {}
+    values = {name.strip(): [float(x) for x in _NUMBER.findall(value)] for name, value in _ASSIGNMENT.findall(text)}
+    return {name: numbers[0] if len(numbers) == 1 else numbers for name, numbers in values.items()}
+
+
+def _section_values(text: str) -> dict[str, Any]:
+    """Values by section of an INI file: `key = value` lines."""
+    values: dict[str, Any] = {}
+    section = top = dict[str, Any]()
+    for line in text.splitlines():
+        if match := _SECTION.fullmatch(line):
+            section = values.setdefault(match[1].strip(), {})
+        elif "=" in line and not line.lstrip().startswith(("#", ";")):
+            key, _, value = line.partition("=")
+            section[key.strip()] = float(value) if _NUMBER.fullmatch(value.strip()) else value.strip()
+    return top | values
+
+
+def _xml_values(text: str, path: Path, expected: str) -> dict[str, Any]:
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise RigError(f"{path}: expected {expected}, found a document type; remove it.")
+    try:
+        root = ElementTree.fromstring(text)  # noqa: S314 - without entities, the size is limited by that of the file
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise RigError(f"{path}: expected {expected} in XML, found an error: {shortened(str(error))}.") from error
+    names = [node.tag for node in root]
+    if duplicate := next((key for key in names if names.count(key) > 1), None) if len(names) < MAX_NUMBERS else None:
+        raise RigError(f"{path}: expected the key {duplicate} once, found it {names.count(duplicate)} times.")
+
+    def value(node: ElementTree.Element, depth: int = 0) -> Any:
+        """The words of an element, a list for data and sizes; or its children by name."""
+        if len(node) and depth < 4:
+            return {part.tag: value(part, depth + 1) for part in node}
+        words = [word.strip('"') for word in (node.text or "").split()]
+        return words[0] if len(words) == 1 and node.tag != "data" else words
+
+    return {node.tag: value(node) for node in root}
+
+
+def _numpy_text(path: Path, expected: str) -> str:
+    """The small arrays of an .npz or .npy file by name as JSON; null for others."""
+    content = read_bytes(path, RigError, expected, max_bytes=_MAX_BYTES)
+    arrays: dict[str, Any] = {}
+    try:
+        if content.startswith(b"\x93NUMPY"):
+            arrays = {path.stem: parse_array(io.BytesIO(content), len(content))}
+            arrays |= _beside(path)
+        else:
+            with zipfile.ZipFile(io.BytesIO(content)) as archive:
+                members = [info for info in archive.infolist()[:_MAX_ARRAYS] if info.filename.endswith(".npy")]
+                if not members:
+                    raise RigError(
+                        f"{path}: expected {expected}, found a ZIP archive without arrays of NumPy; unpack it, and "
+                        "give the calibration in it."
+                    )
+                arrays = {info.filename[:-4]: _member(archive, info) for info in members}
+    except RigError:
+        raise
+    except Exception as reason:  # the parsers of archives and headers raise a dozen unrelated types
+        problem = shortened(str(reason).partition("\n")[0], 100)
+        if "object" in problem:
+            raise RigError(f"{path}: expected {expected}, found a pickled object in it, {_PICKLE_ADVICE}.") from reason
+        raise RigError(f"{path}: expected {expected} as arrays of NumPy, found an error: {problem}.") from reason
+    return json.dumps({name: _listed(array) for name, array in arrays.items()}, allow_nan=False)
+
+
+def _beside(path: Path) -> dict[str, Any]:
+    """The small arrays in the other .npy files of a folder, which are those of one calibration, by name."""
+    arrays: dict[str, Any] = {}
+    for file in sorted(path.absolute().parent.glob("*.npy"))[:_MAX_ARRAYS]:
+        if file.is_file() and file.stat().st_size <= 8 * MAX_NUMBERS + 10_000:
+            content = read_bytes(file, RigError, "an array", max_bytes=8 * MAX_NUMBERS + 10_000)
+            with contextlib.suppress(Exception):  # of arrays that are not numbers, which are not needed
+                arrays[file.stem] = parse_array(io.BytesIO(content), len(content))
+    return arrays
+
+
+def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Any:
+    """A small array of an .npz; None for a large one."""
+    limit = 8 * MAX_NUMBERS + 10_000
+    if info.file_size > limit:
+        return None
+    with archive.open(info) as file:
+        content = file.read(limit)
+    return parse_array(io.BytesIO(content), len(content))
+
+
+def _matlab_text(path: Path, expected: str) -> str:
+    """The variables of a .mat file by name as JSON, with the structs of saved objects as its cameras."""
+    content = read_bytes(path, RigError, expected, max_bytes=_MAX_BYTES)
+    try:
+        file = MatFile(content)
+        values = {name: _listed(value) for name, value in file.values.items()}
+    except Exception as reason:  # of damaged sizes and types
+        problem = shortened(str(reason).partition("\n")[0], 100)
+        raise RigError(f"{path}: expected {expected} as a MATLAB file, found an error: {problem}.") from reason
+    cameras = [content for content in file.objects if "RadialDistortion" in content]
+    pair = next((content for content in file.objects if "RotationOfCamera2" in content), {})
+    named = {f"CameraParameters{number}": camera for number, camera in enumerate(cameras[:2], 1)}
+    if cameras or pair:
+        values = {"stereoParams": _listed(pair | named)}
+    if not any(values.values()):
+        raise RigError(f"{path}: expected {expected}, found objects of MATLAB without numbers; {_MATLAB_ADVICE}.")
+    return json.dumps(values, allow_nan=False)
+
+
+def _listed(value: Any) -> Any:
+    """Plain values of small arrays, structs and texts; None for others."""
+    if isinstance(value, np.ndarray):
+        is_small = value.size <= MAX_NUMBERS and value.dtype.kind in "iuf" and np.isfinite(value).all()
+        return value.tolist() if is_small else None
+    if isinstance(value, dict):
+        return {str(key): _listed(part) for key, part in value.items()}
+    if isinstance(value, list):
+        return [_listed(part) for part in value[:MAX_NUMBERS]]
+    return value if isinstance(value, str) else None

@@ -1,0 +1,90 @@
+"""Files that complete a calibration: intrinsics and extrinsics, and those of the left and of the right camera."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+_SUFFIXES = (".yml", ".yaml", ".xml", ".json", ".npz", ".npy", ".txt", ".conf", ".mat")
+_OTHER_SIDE = {
+    "left": "right",
+    "right": "left",
+    "Left": "Right",
+    "Right": "Left",
+    "LEFT": "RIGHT",
+    "RIGHT": "LEFT",
+    "cam0": "cam1",
+    "camera0": "camera1",
+    "camera_0": "camera_1",
+    "cam_0": "cam_1",
+    "infra1": "infra2",
+    "cam2": "cam1",
+    "camera2": "camera1",
+    "camera_2": "camera_1",
+    "cam_2": "cam_1",
+    "infra2": "infra1",
+}
+_FIRST = {"cam1": ("cam0", "cam2"), "camera1": ("camera0", "camera2"), "camera_1": ("camera_0", "camera_2"),
+          "cam_1": ("cam_0", "cam_2")}  # fmt: skip
+_SIDE = re.compile("|".join(sorted([*_OTHER_SIDE, *_FIRST], key=len, reverse=True)))
+_LETTER = re.compile(r"([_.-])([lLrR])(?=[_.-]|$)")  # camera_L.yml
+_LETTERS = {"l": "r", "r": "l", "L": "R", "R": "L"}
+_EXTRINSIC = re.compile(r"extrin|stereo|relative|rt\b|pose", re.IGNORECASE)  # names of files with R and T
+_MAX_FILES = 50  # files of a folder that are looked at
+
+
+def other_sides(name: str) -> Iterator[str]:
+    """Names of the file of the other camera; none for a name without a side."""
+    if match := _SIDE.search(name):
+        for word in (_OTHER_SIDE.get(match[0]), *_FIRST.get(match[0], ())):
+            if word:
+                yield name.replace(match[0], word)
+    elif _LETTER.search(Path(name).stem):
+        yield _LETTER.sub(lambda match: match[1] + _LETTERS[match[2]], name)
+
+
+def partner_of(path: Path) -> Path | None:
+    """The file of the other camera: the same name, or the same name in the folder, of the other side; None = none."""
+    beside = [path.with_name(name) for name in other_sides(path.name)]
+    folders = [path.parent.parent / folder for folder in other_sides(path.parent.absolute().name)]
+    inside = [folder / name for folder in folders for name in (path.name, *other_sides(path.name))]
+    return next((candidate for candidate in (*beside, *inside) if candidate != path and candidate.is_file()), None)
+
+
+def is_second(path: Path) -> bool:
+    """Whether the name of a file, else of its folder, is that of a right camera, or of one with a larger number."""
+    word = _side_word(path)
+    partner = partner_of(path) if word in _FIRST else None
+    return (
+        word.lower() in ("right", "r") or word[-1:] == "2" or (partner is not None and _side_word(partner)[-1:] == "0")
+    )
+
+
+def _side_word(path: Path) -> str:
+    for name in (path.stem, path.parent.absolute().name):
+        if match := _SIDE.search(name):
+            return match[0]
+        if letter := _LETTER.search(name):
+            return letter[2]
+    return ""
+
+
+def other_half(path: Path, *, is_intrinsic: bool) -> Path | None:
+    """The file in the folder with the extrinsics that belong to intrinsics, or with the intrinsics; None = none."""
+    own, other = ("intrinsic", "extrinsic") if is_intrinsic else ("extrinsic", "intrinsic")
+    stem = path.stem.replace(own, other) if own in path.stem else f"{other}s"
+    for candidate in (path.with_name(stem + suffix) for suffix in (path.suffix, *_SUFFIXES)):
+        if candidate != path and candidate.is_file():
+            return candidate
+    names = [file for file in files_of(path.absolute().parent) if file.name != path.name]
+    if is_intrinsic:
+        fitting = [file for file in names if _EXTRINSIC.search(file.stem) and not list(other_sides(file.name))]
+    else:
+        fitting = [file for file in names if list(other_sides(file.name)) and partner_of(file) and not is_second(file)]
+    return path.with_name(fitting[0].name) if len(fitting) == 1 else None
+
+
+def files_of(folder: Path) -> list[Path]:
+    """Files of a folder that may be calibrations, sorted by name."""
+    return sorted(file for file in folder.iterdir() if file.suffix.lower() in _SUFFIXES and file.is_file())[:_MAX_FILES]

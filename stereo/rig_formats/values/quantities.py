@@ -1,0 +1,284 @@
+"""The quantities of a calibration by the names that programs and people give to them.
+
+    K  camera matrix, or fx fy cx cy     D  distortion coefficients, or k1 k2 p1 p2 k3 ...     size  of the images
+    R, T  x2 = R x1 + T                  rect, P  rotation to the rectified frame, projection in it
+    baseline, bf  their scalars          second_from_first, first_from_second  4 x 4 transforms
+
+Names are compared without case and punctuation, with the side before or behind them (`K1`, `left_camera_matrix`,
+`mtxR`) or around them (`cam1: {K: ...}`, `LEFT.K`). Sides are left and right, or numbers in their order.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Literal, NamedTuple
+
+import numpy as np
+from pydantic import BaseModel, Field, TypeAdapter, ValidationError
+
+from track_range.foundation.arrays import FloatArray
+from track_range.foundation.files.input_files import quoted
+from track_range.foundation.validation import Integer, Number, validated
+from track_range.stereo.geometry.rig import RigError
+from track_range.stereo.rig_formats.values.containers import MAX_NUMBERS
+
+_SEPARATORS = re.compile(r"[^a-z0-9]")
+_SIDES = r"left|right|l|r|\d{1,3}"
+_AROUND = re.compile(  # a key whose values are of one camera
+    rf"(?:cam|camera|camerainfo|sensor|view|infrared|infra|ir|mono|intrinsics?|params|calib)?({_SIDES})"
+    r"(?:cam|camera|camerainfo|image|img|infrared|ir|intrinsics?|params|parameters|sensor|calib|calibration|lens)?"
+    rf"|cameraparameters(\d)"
+)
+_SIDE_WORDS = ("left", "right", "l", "r", *map(str, range(10)))
+_AFFIXES = {  # before or behind the name of a quantity -> the side
+    form: word
+    for word in _SIDE_WORDS
+    for form in (word, f"cam{word}", f"camera{word}", f"{word}cam", f"{word}camera", f"of{word}", f"ofcamera{word}")
+}
+_NAMES: dict[str, str] = {
+    "K": "k m a camera cameramatrix cammatrix cameramat cammat cam cammats mtx matrix mat intrinsic intrinsics kmat kk"
+    " cm intrinsicmatrix intrinsicsmatrix intrinsicmat intrinsicparameters cameraintrinsics cameraintrinsic kmatrix"
+    " projectionparameters",
+    "D": "d dist distcoeffs distcoeff distcoefs distcoef distortion distortioncoefficients distortioncoefficient kc"
+    " coeffs distortioncoeffs distortioncoeff distortioncoefs distcoefficients cameradistcoeff cameradistcoeffs dcoeffs"
+    " distortionvector distortionmatrix distmatrix distortionparameters distortionparams",
+    "radial": "radialdistortion",
+    "tangential": "tangentialdistortion",
+    "R": "r rot rotation rotationmatrix rotmat rotmatrix rmat rmatrix rvec rotationvector om stereor stereorotation"
+    " relativerotation rotationbetweencameras",
+    "T": "t trans transl translation translationvector translationmatrix transvec tvec tvector tmat stereot trns"
+    " stereotranslation relativetranslation translationofcamera2",
+    "R_transposed": "rotationofcamera2",
+    "rect": "rect rrect recttrans recttransform rectification rectificationmatrix rectificationrotation rectrotation"
+    " rectifiedrotation",
+    "P": "p proj projection projectionmatrix projmat projmats projmatrix prect",
+    "Q": "q disparitytodepth disptodepth disptodepthmatrix disptodepthmat reprojection reprojectionmatrix",
+    "second_from_first": "tc2c1 trl t21 trightleft rightfromleft tcncnm1 lefttoright extrinsic extrinsics",
+    "first_from_second": "tc1c2 tlr t12 tleftright leftfromright righttoleft",
+    "baseline": "baseline b stereob stereobaseline baselinem baselinemm baselinecm",
+    "bf": "bf camerabf stereobf",
+    "fx": "fx f focal focallength focallengthpx focallengthx focalx fxpx fu gamma1 fc",
+    "fy": "fy focallengthy focaly fypx fv gamma2",
+    "cx": "cx u0 ppx pu cu cxpx principalpointx centerx opticalcenterx",
+    "cy": "cy v0 ppy pv cv cypx principalpointy centery opticalcentery",
+    "centre": "cc principalpoint opticalcenter opticalcentre",
+    "width": "width imagewidth imgwidth imagewidthpx widthpx cols w nx",
+    "height": "height imageheight imgheight imageheightpx heightpx rows h ny",
+    "size": "size imagesize imgsize imsize resolution imageshape imgshape shape imageresolution wh",
+    "square": "squaresize squaresizemm squarelength squarewidth square chessboardsquaresize checkersize",
+    "fisheye": "fisheyemodel isfisheye",
+    "unit": "worldunits units unit lengthunit",
+    "model": "cameratype distortionmodel modeltype model cameramodel type",
+}
+_QUANTITY = {name: quantity for quantity, names in _NAMES.items() for name in names.split()}
+_SCALARS = {
+    name: name for name in ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "s1", "s2", "s3", "s4", "xi", "alpha")
+}
+_OF_PAIR = frozenset(
+    "R T R_transposed second_from_first first_from_second baseline bf Q square unit fisheye inverse".split()
+)
+_COUNTS = {  # possible numbers of values
+    "K": (9, 4), "D": (0, 1, 2, 4, 5, 8, 12, 14), "radial": (2, 3), "tangential": (2,), "R": (9, 3),
+    "R_transposed": (9,), "T": (3,), "rect": (9,), "P": (12, 9), "Q": (16,), "second_from_first": (16, 12),
+    "first_from_second": (16, 12), "fx": (1, 2), "centre": (2,), "size": (2, 3),
+}  # fmt: skip
+_BETWEEN = re.compile(r"(?:from)?(.+?)to(.+)")  # a key whose values are between two cameras or streams
+_OTHER_SET = re.compile(r"rectified|optimal|new|undistort")  # keys of cameras of other images than the recorded ones
+_KNOWN_MATRICES = ("M1", "D1", "M2", "D2", "K1", "K2", "R", "T", "camera_matrix", "distortion_coefficients")
+
+_MAX_SIDE = 14  # largest number of rows or columns; OpenCV has at most 14 distortion coefficients
+_Side = Annotated[Integer, Field(ge=1, le=_MAX_SIDE)]
+
+
+class _Matrix(BaseModel):
+    """A matrix in FileStorage, row by row; dt is the type of the numbers: d and f are float64 and float32."""
+
+    rows: _Side
+    cols: _Side
+    dt: Literal["d", "f", "i", "u", "w", "s", "c"] = "d"
+    data: Annotated[list[Number], Field(max_length=MAX_NUMBERS)]
+
+
+_NUMBERS: TypeAdapter[list[float]] = TypeAdapter(Annotated[list[Number], Field(max_length=MAX_NUMBERS)])
+Side = str | int | None  # "left", "right", a number, or None for both cameras
+
+
+class Quantities(NamedTuple):
+    """Values of a calibration by side and quantity, and the keys of the file."""
+
+    values: dict[tuple[Side, str], Any]  # arrays (N,), texts of "unit" and "model"
+    keys: tuple[str, ...]  # names of all values in the file, in its order
+    names: dict[tuple[Side, str], str]  # key of each value
+
+    def of(self, side: Side, quantity: str) -> Any:
+        """The value of a side, else of both; None if there is none."""
+        return self.values.get((side, quantity), self.values.get((None, quantity)))
+
+    def __or__(self, other: Quantities) -> Quantities:
+        """These quantities, completed by others."""
+        return Quantities(
+            {**other.values, **self.values},
+            tuple(dict.fromkeys((*self.keys, *other.keys))),
+            {**other.names, **self.names},
+        )
+
+    def of_one_side(self, side: str) -> Quantities:
+        """The quantities of a file of one camera as those of a side."""
+        return self._replace(
+            values={(side, quantity): value for (_, quantity), value in self.values.items()},
+            names={(side, quantity): name for (_, quantity), name in self.names.items()},
+        )
+
+    def sides(self) -> list[Side]:
+        """The sides of the file's cameras, the first (left, or with the smaller number) first; [] = none is named."""
+        named = {side for side, quantity in self.values if quantity in ("K", "fx", "P") and side is not None}
+        words = [side for side in ("left", "right") if side in named]
+        return [*words, *sorted(side for side in named if isinstance(side, int))] if len(words) < 2 else [*words]
+
+
+def quantities_of(content: Mapping[str, Any], source: object) -> Quantities:
+    """The quantities in plain values; raises RigError for a matrix of OpenCV that is damaged."""
+    named = Quantities({}, tuple(dict.fromkeys(_top_keys(content))), {})
+    for path, value in _leaves(content, ()):
+        key = ".".join(path)
+        if _OTHER_SET.search(key.lower()):
+            continue
+        side, quantity = _named(path, value)
+        if quantity in ("R", "T") and (between := _direction(path)) is not None:
+            if not between or (None, quantity) in named.values:  # of other streams, such as depth to colour
+                continue
+            side, named.values[None, "inverse"] = None, between < 0
+        if quantity is None or (side, quantity) in named.values:
+            continue
+        if (numbers := _value(value, quantity, key, source)) is not None:
+            named.values[side, quantity] = numbers
+            named.names[side, quantity] = key
+    for side in {side for side, quantity in named.values if quantity == "P" and side is not None}:
+        if (side, "R") in named.values and (side, "T") not in named.values:  # as in camera_info
+            named.values.setdefault((side, "rect"), named.values.pop((side, "R")))
+    return named
+
+
+def _top_keys(content: Mapping[str, Any]) -> Iterator[str]:
+    for key, value in content.items():
+        if isinstance(value, dict) and not _is_matrix(value) and len(content) <= 3:
+            yield from (f"{key}.{part}" for part in value)
+        else:
+            yield str(key)
+
+
+def _is_matrix(value: object) -> bool:
+    return isinstance(value, dict) and "data" in value
+
+
+def _leaves(value: object, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """(keys from the outside in, value) of all values that are not mappings, or are matrices."""
+    if isinstance(value, dict) and value.keys() == {"x", "y", "z"}:
+        yield path, [value["x"], value["y"], value["z"]]
+    elif isinstance(value, dict) and not _is_matrix(value):
+        for key, part in value.items():
+            yield from _leaves(part, (*path, *str(key).split(".")))
+    elif isinstance(value, list) and value and all(isinstance(part, dict) for part in value):
+        for number, part in enumerate(value):
+            yield from _leaves(part, (*path, str(part.get("name", part.get("id", number)))))
+    elif path:
+        yield path, value
+
+
+def _named(path: tuple[str, ...], value: Any) -> tuple[Side, str | None]:
+    """The side and the quantity of a value by its keys; None for another one."""
+    words = [_SEPARATORS.sub("", key.lower()) for key in path]
+    around = [match for word in words[:-1] if (match := _AROUND.fullmatch(word))]
+    side = _side_of(around[-1]) if around else None
+    name, n_values = words[-1], _n_values(value)
+    if len(words) > 1 and words[-2] in _QUANTITY and re.fullmatch(_SIDES, name):  # camera_matrix: {left: ...}
+        return _side_of(re.fullmatch(f"({_SIDES})", name)), _QUANTITY[words[-2]]
+    if name in _SCALARS and n_values == 1:
+        return side, name
+    if quantity := _QUANTITY.get(name):
+        return (None if name in ("rotationofcamera2", "translationofcamera2") else side), quantity
+    for affix, word in _AFFIXES.items():
+        stems = (name.removeprefix(affix), name.removesuffix(affix))
+        quantity = next((_QUANTITY[stem] for stem in stems if stem != name and stem in _QUANTITY), None)
+        if quantity and quantity not in _OF_PAIR - {"R", "T"}:
+            return _word_side(word), "rect" if quantity == "R" and n_values == 9 else quantity
+    return None, None
+
+
+def _direction(path: tuple[str, ...]) -> int | None:
+    """1 = from the first camera to the second by a key, -1 = the reverse, 0 = of others; None = no such key."""
+    for key in path[:-1]:
+        if match := _BETWEEN.fullmatch(_SEPARATORS.sub("", key.lower())):
+            sides = [_side_of(_AROUND.fullmatch(word)) for word in match.groups()]
+            if None in sides or isinstance(sides[0], str) != isinstance(sides[1], str):
+                return 0
+            return 1 if str(sides[0]) < str(sides[1]) else -1
+    return None
+
+
+def _side_of(match: re.Match[str] | None) -> Side:
+    return None if match is None else _word_side(next(group for group in match.groups() if group))
+
+
+def _word_side(word: str) -> Side:
+    return {"l": "left", "r": "right"}.get(word, int(word) if word.isdecimal() else word)
+
+
+def _n_values(value: Any) -> int:
+    """Number of the numbers in a value."""
+    if isinstance(value, dict):
+        value = value.get("data")
+    if isinstance(value, list):
+        return sum(map(_n_values, value[:MAX_NUMBERS]))
+    return len(value.split()) if isinstance(value, str) else 1
+
+
+def _value(value: Any, quantity: str, key: str, source: object) -> Any:
+    """(N,) numbers of a value, or the text of a unit or model; None for what is neither."""
+    if quantity in ("unit", "model"):
+        return value if isinstance(value, str) else None
+    is_left_out = isinstance(value, dict) and value.get("data") == [] and "rows" in value
+    if value is None or is_left_out:  # a large matrix
+        return None
+    is_strict = key in _KNOWN_MATRICES
+    numbers = _numbers(value, key, source) if is_strict or _is_matrix(value) else _loose_numbers(value)
+    counts = _COUNTS.get(quantity, (1,))
+    if numbers is None or not (is_strict or numbers.size in counts):
+        return None
+    return numbers
+
+
+def _numbers(value: Any, key: str, source: object) -> FloatArray:
+    """(N,) numbers of a matrix, a list or a number; those of a matrix are rounded as OpenCV rounds them."""
+    if _is_matrix(value) and {"rows", "cols"} <= value.keys():
+        matrix = validated(_Matrix, value, f"{source}: {key}", RigError)
+        if len(matrix.data) != matrix.rows * matrix.cols:
+            raise RigError(
+                f"{source}: {key}: expected {matrix.rows} x {matrix.cols} numbers, found {len(matrix.data)}; calibrate "
+                "again."
+            )
+        return np.array(matrix.data, np.float32 if matrix.dt == "f" else np.float64).astype(np.float64)
+    numbers = _loose_numbers(value)
+    if numbers is None:
+        raise RigError(f"{source}: {key}: expected numbers, found {quoted(value)}; calibrate again.")
+    return numbers
+
+
+def _loose_numbers(value: Any) -> FloatArray | None:
+    """(N,) numbers of nested lists, of {x, y, z}, of a text or of a number; None for others."""
+    if isinstance(value, dict):
+        value = value.get("data")
+    flat = value.split() if isinstance(value, str) else list(_flat(value))
+    try:
+        return np.array(_NUMBERS.validate_python(flat), np.float64)
+    except ValidationError:
+        return None
+
+
+def _flat(value: Any) -> Iterator[Any]:
+    if isinstance(value, list):
+        for part in value[: MAX_NUMBERS + 1]:
+            yield from _flat(part)
+    else:
+        yield value

@@ -1,0 +1,311 @@
+"""Calibrations by the names of their values: names, containers, units, directions and sizes, all with known values."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.rig_formats.reading import load_calibration, load_rig
+
+K1 = np.array([[543.75, 0.0, 335.5], [0.0, 546.25, 236.75], [0.0, 0.0, 1.0]])
+K2 = np.array([[556.0, 0.0, 315.5], [0.0, 557.25, 240.875], [0.0, 0.0, 1.0]])
+D1, D2 = np.array([[0.05, -0.15, -0.0015, 0.0037, 0.39]]), np.array([[0.07, -0.16, 0.0001, -0.0004, 0.14]])
+R = np.asarray(cv2.Rodrigues(np.array([-0.05, -0.03, 0.01]))[0])
+T = np.array([[-0.09], [0.002], [0.0145]])
+BASELINE_M = float(np.linalg.norm(T))
+NAMES = (  # of K, D, K, D, R, T
+    "K1 D1 K2 D2 R T",
+    "M1 D1 M2 D2 R T",
+    "cameraMatrix1 distCoeffs1 cameraMatrix2 distCoeffs2 R T",
+    "cameraMatrixL distL cameraMatrixR distR rot trans",
+    "mtxL distL mtxR distR R T",
+    "mtx_left dist_left mtx_right dist_right R T",
+    "mtx1 dist1 mtx2 dist2 R T",
+    "left_camera_matrix left_dist_coeffs right_camera_matrix right_dist_coeffs rotation translation",
+    "camera_matrix_left dist_coeffs_left camera_matrix_right dist_coeffs_right rotation_matrix translation_vector",
+    "cameraMatrixLeft distCoeffsLeft cameraMatrixRight distCoeffsRight rmat tvec",
+    "K_left D_left K_right D_right R T",
+    "K_l D_l K_r D_r R T",
+    "Kl Dl Kr Dr R T",
+    "cam0_K cam0_D cam1_K cam1_D R T",
+    "camera_matrix_0 dist_coeffs_0 camera_matrix_1 dist_coeffs_1 R T",
+    "cam_mats_left dist_coefs_left cam_mats_right dist_coefs_right rot_mat trans_vec",
+    "leftIntrinsics leftDistortion rightIntrinsics rightDistortion Rot Trns",
+    "intrinsic_matrix_left distortion_left intrinsic_matrix_right distortion_right stereo_R stereo_T",
+    "KK_left kc_left KK_right kc_right R T",
+    "left.K left.D right.K right.D stereo.R stereo.T",
+    "cameras.left.camera_matrix cameras.left.distortion_coefficients cameras.right.camera_matrix "
+    "cameras.right.distortion_coefficients extrinsics.rotation extrinsics.translation",
+    "camera_matrix.left dist_coeff.left camera_matrix.right dist_coeff.right R T",
+    "LEFT.K LEFT.D RIGHT.K RIGHT.D R T",
+)
+
+
+def values(names: str, translation: np.ndarray = T) -> dict[str, Any]:
+    """The matrices by these names; dots nest."""
+    content: dict[str, Any] = {"retval": 0.31, "E": np.ones((3, 3)), "F": np.ones((3, 3))}
+    for name, matrix in zip(names.split(), (K1, D1, K2, D2, R, translation), strict=True):
+        *around, last = name.split(".")
+        block = content
+        for key in around:
+            block = block.setdefault(key, {})
+        block[last] = matrix
+    return content
+
+
+def plain(content: Any) -> Any:
+    return (
+        {key: plain(value) for key, value in content.items()}
+        if isinstance(content, dict)
+        else np.asarray(content).tolist()
+    )
+
+
+def storage(path: Path, content: dict[str, Any]) -> Path:
+    file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for key, value in content.items():
+        file.write(key, value)
+    file.release()
+    return path
+
+
+def check(loaded: tuple[Any, tuple[str, ...]], translation: np.ndarray = T) -> tuple[str, ...]:
+    rig, notes = loaded
+    assert isinstance(rig, StereoRig)
+    assert rig.left.matrix == pytest.approx(K1, abs=1e-9)
+    assert rig.right.matrix == pytest.approx(K2, abs=1e-9)
+    assert rig.left.distortion == pytest.approx(D1[0])
+    assert rig.right.distortion == pytest.approx(D2[0])
+    assert rig.right_from_left[:3, :3] == pytest.approx(R, abs=1e-9)
+    assert rig.right_from_left[:3, 3] == pytest.approx(translation.ravel(), abs=1e-9)
+    return notes
+
+
+@pytest.mark.parametrize("names", NAMES)
+def test_names_in_json(tmp_path, names):
+    path = tmp_path / "stereo.json"
+    path.write_text(json.dumps(plain(values(names))))
+    check(load_calibration(path))
+
+
+@pytest.mark.parametrize("names", [names for names in NAMES if "." not in names])
+@pytest.mark.parametrize("suffix", [".yml", ".xml", ".npz"])
+def test_names_in_storage_and_numpy(tmp_path, names, suffix):
+    path, content = tmp_path / f"stereo{suffix}", values(names)
+    if suffix == ".npz":
+        np.savez(path, map1=np.zeros((480, 640, 2), np.float32), **content)
+    else:
+        storage(path, content)
+    check(load_rig(path, size_px=(640, 480)))
+
+
+def test_containers(tmp_path):
+    np.savez_compressed(tmp_path / "c.npz", **values(NAMES[2]))
+    check(load_calibration(tmp_path / "c.npz"))
+    for name, matrix in values(NAMES[15]).items():
+        np.save(tmp_path / f"{name}.npy", matrix)
+    np.save(tmp_path / "undistortion_map_left.npy", np.zeros((480, 640, 2), np.float32))
+    check(load_calibration(tmp_path / "cam_mats_left.npy"))
+    check(load_calibration(tmp_path / "undistortion_map_left.npy"))
+    printed = tmp_path / "printed.txt"
+    with np.printoptions(precision=17, floatmode="unique"):
+        lines = [f"{name}:\n{matrix}" for name, matrix in values(NAMES[0]).items() if name in NAMES[0].split()]
+    printed.write_text("Calibration done\n" + "\n".join(lines))
+    check(load_calibration(printed))
+    script = "\n".join(
+        f"{name} = np.array({matrix.tolist()})" for name, matrix in values(NAMES[4]).items() if name[0] in "mdRT"
+    )
+    printed.write_text("import numpy as np\n" + script)
+    check(load_calibration(printed))
+
+
+@pytest.mark.parametrize(("factor", "word"), [(1.0, "metres"), (100.0, "centimetres"), (1000.0, "millimetres")])
+def test_unit_by_the_length_of_t(tmp_path, factor, word):
+    path = storage(tmp_path / "stereo.yml", values(NAMES[0], T * factor))
+    assert any(word in note for note in check(load_calibration(path)))
+
+
+@pytest.mark.parametrize(("square", "factor"), [(22.2, 200.0), (0.0222, 1.0)])
+def test_square_size(tmp_path, square, factor):
+    """20 long: 2 cm in millimetres by a square of 22.2 mm, else 20 cm."""
+    path = storage(tmp_path / "stereo.yml", {**values(NAMES[0], T * factor), "square_size": square})
+    rig, _ = load_calibration(path)
+    assert rig.baseline_m == pytest.approx(BASELINE_M * (0.2 if square > 1 else 1.0))
+
+
+def test_units_in_doubt_and_given(tmp_path):
+    path = storage(tmp_path / "stereo.yml", values(NAMES[0], T / 0.025))  # squares of 25 mm
+    with pytest.raises(RigError, match=r"wider than a vehicle.*--unit"):
+        load_rig(path, size_px=(640, 480))
+    rig, notes = load_calibration(path, metres_per_unit=0.01)
+    assert rig.baseline_m == pytest.approx(BASELINE_M / 2.5)
+    assert not any("metres" in note for note in notes)
+    storage(path, values(NAMES[0], T * 1000))
+    assert load_calibration(path, metres_per_unit=0.01)[0].baseline_m == pytest.approx(BASELINE_M * 10)
+    named = {**plain(values(NAMES[0], T * 30)), "units": "inches"}
+    path.with_suffix(".json").write_text(json.dumps({**named, "units": "mm"}))
+    assert load_calibration(path.with_suffix(".json"), metres_per_unit=0.1)[0].baseline_m == pytest.approx(
+        BASELINE_M * 3
+    )
+
+
+def test_rotation_vector_and_row(tmp_path):
+    content = values(NAMES[0]) | {"R": cv2.Rodrigues(R)[0], "T": T.T}
+    check(load_calibration(storage(tmp_path / "stereo.yml", content)))
+
+
+def inverse() -> dict[str, np.ndarray]:
+    return {"R": R.T, "T": -R.T @ T}
+
+
+def test_inverse_transform_of_named_cameras(tmp_path):
+    content = values("K_left D_left K_right D_right R T") | inverse()
+    notes = check(load_calibration(storage(tmp_path / "stereo.yml", content)))
+    assert any("from the right camera to the left" in note for note in notes)
+
+
+def test_second_camera_on_the_left(tmp_path):
+    """Cameras 1 and 2 with x1 = R x2 + T of the true pair: camera 2 is the left one."""
+    content = dict(zip("K1 D1 K2 D2".split(), (K2, D2, K1, D1), strict=True)) | inverse()
+    notes = check(load_calibration(storage(tmp_path / "stereo.yml", content)))
+    assert any("camera 2 is to the left" in note for note in notes)
+
+
+def rectification() -> dict[str, Any]:
+    r1, r2, p1, p2, q, *_ = cv2.stereoRectify(K1, D1, K2, D2, (640, 480), R, T)
+    return {"R1": r1, "R2": r2, "P1": p1, "P2": p2, "Q": q}
+
+
+def test_rectification_determines_the_direction_and_the_pair(tmp_path):
+    both = values(NAMES[0]) | rectification()
+    assert len(check(load_calibration(storage(tmp_path / "a.yml", both)))) == 1
+    notes = check(load_calibration(storage(tmp_path / "b.yml", both | inverse())))
+    assert any("inverted" in note for note in notes)
+    without = {key: value for key, value in both.items() if key not in "RT"}
+    check(load_calibration(storage(tmp_path / "c.yml", without)))
+    notes = load_calibration(storage(tmp_path / "d.yml", both | {"T": 1.5 * T}))[1]
+    assert any("P2[0, 3]" in note for note in notes)
+    other = np.asarray(cv2.Rodrigues(np.array([0.1, 0.1, 0.0]))[0])
+    notes = load_calibration(storage(tmp_path / "e.yml", both | {"R": other}))[1]
+    assert any("contradicts" in note for note in notes)
+
+
+def test_projections_only(tmp_path):
+    rig, notes = load_calibration(storage(tmp_path / "p.yml", rectification()))
+    assert rig.is_rectified
+    assert rig.baseline_m == pytest.approx(BASELINE_M)
+    assert "rectified" in notes[0]
+
+
+def test_poses_of_both_cameras(tmp_path):
+    world = np.asarray(cv2.Rodrigues(np.array([0.3, 0.2, 0.1]))[0])
+    offset = np.array([[1.0], [2.0], [3.0]])
+    content = {
+        "cam1": {"K": K1, "dist_coeffs": D1, "R": world, "T": offset, "img_width": 640, "img_height": 480},
+        "cam2": {"K": K2, "dist_coeffs": D2, "R": R @ world, "T": R @ offset + T, "img_width": 640, "img_height": 480},
+    }
+    (tmp_path / "cameras.json").write_text(json.dumps(plain(content)))
+    loaded = load_calibration(tmp_path / "cameras.json")
+    check(loaded)
+    assert loaded[0].left.size_px == loaded[0].right.size_px == (640, 480)
+
+
+@pytest.mark.parametrize("size", [[640, 480], [480, 640]])
+def test_size_in_either_order(tmp_path, size):
+    content = plain(values(NAMES[0])) | {"image_size": size}
+    (tmp_path / "a.json").write_text(json.dumps(content))
+    assert load_calibration(tmp_path / "a.json")[0].left.size_px == (640, 480)
+
+
+def test_four_coefficients_by_the_field_of_view(tmp_path):
+    content = values(NAMES[0]) | {"D1": D1[:, :4], "D2": D2[:, :4]}
+    rig, notes = load_calibration(storage(tmp_path / "a.yml", content))
+    assert rig.left.lens == "pinhole"
+    assert any("fisheye_model: 1" in note for note in notes)
+
+
+def test_left_right_and_extrinsics_files(tmp_path):
+    for side, k, d in (("left", K1, D1), ("right", K2, D2)):
+        storage(tmp_path / f"{side}.yml", {"camera_matrix": k, "dist_coeff": d})
+    storage(tmp_path / "extrinsics.yml", {"R": R, "T": T})
+    for name in ("left.yml", "right.yml", "extrinsics.yml", "."):
+        check(load_rig(tmp_path / name, size_px=(640, 480)))
+
+
+def matlab(pair: bool) -> dict[str, Any]:
+    """A struct as MATLAB's toStruct writes it: matrices transposed, pixels from 1, millimetres."""
+
+    def camera(k: np.ndarray, d: np.ndarray) -> dict[str, Any]:
+        shifted = k + np.array([[0, 0, 1], [0, 0, 1], [0, 0, 0]])
+        return {
+            "RadialDistortion": d[:, [0, 1, 4]],
+            "TangentialDistortion": d[:, 2:4],
+            "ImageSize": np.array([[480.0, 640.0]]),
+            "IntrinsicMatrix": shifted.T,
+            "WorldPoints": np.zeros((200, 2)),
+        }
+
+    cameras = {"CameraParameters1": camera(K1, D1), "CameraParameters2": camera(K2, D2)}
+    return {
+        "stereoParams": cameras | {"RotationOfCamera2": R.T, "TranslationOfCamera2": 1000 * T.T} if pair else cameras
+    }
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_matlab_struct(tmp_path, compressed):
+    path = tmp_path / "stereo.mat"
+    savemat(path, matlab(True), do_compression=compressed)
+    loaded = load_calibration(path)
+    check(loaded)
+    assert loaded[0].left.size_px == (640, 480)
+    path.with_suffix(".json").write_text(json.dumps(plain(matlab(True)["stereoParams"])))
+    check(load_calibration(path.with_suffix(".json")))
+
+
+def test_bouguets_toolbox(tmp_path):
+    content = {"om": cv2.Rodrigues(R)[0], "T": 1000 * T, "nx": 640.0, "ny": 480.0}
+    for side, k, d in (("left", K1, D1), ("right", K2, D2)):
+        content |= {f"fc_{side}": k[[0, 1], [0, 1]][:, None], f"cc_{side}": k[:2, 2:], f"kc_{side}": d.T}
+    savemat(tmp_path / "Calib_Results_stereo.mat", content)
+    loaded = load_calibration(tmp_path / "Calib_Results_stereo.mat")
+    check(loaded)
+    assert loaded[0].left.size_px == (640, 480)
+
+
+@pytest.mark.parametrize(
+    ("content", "key_word"),
+    [
+        ({"Left_Stereo_Map_x": np.zeros((4, 4)), "Right_Stereo_Map_x": np.zeros((4, 4))}, "remap tables"),
+        ({"K1": K1, "D1": D1, "R": R, "T": T}, "no M2, D2"),
+        ({"K1": K1, "K2": K2, "R": R, "T": T}, "distortion coefficients D1"),
+        ({"speed": np.ones((2, 2))}, "found the keys speed"),
+    ],
+)
+def test_incomplete_files_are_named(tmp_path, content, key_word):
+    for path in (storage(tmp_path / "a.yml", content), tmp_path / "a.npz"):
+        if path.suffix == ".npz":
+            np.savez(path, **content)
+        with pytest.raises(RigError, match=key_word):
+            load_calibration(path)
+
+
+def test_pickles_and_other_files_are_not_opened(tmp_path):
+    np.savez(tmp_path / "a.npz", calibration=np.array({"K1": K1}, dtype=object))
+    np.save(tmp_path / "b.npy", np.array({"K1": K1}, dtype=object))
+    (tmp_path / "c.pkl").write_bytes(b"\x80\x04\x95\x10\x00")
+    for name in ("a.npz", "b.npy", "c.pkl"):
+        with pytest.raises(RigError, match=r"pickle.*numpy\.savez"):
+            load_calibration(tmp_path / name)
+    (tmp_path / "d.mat").write_bytes(b"MATLAB 7.3 MAT-file" + bytes(500))
+    with pytest.raises(RigError, match="-v7"):
+        load_calibration(tmp_path / "d.mat")
+    (tmp_path / "e.npz").write_bytes(b"PK\x03\x04" + bytes(100))
+    with pytest.raises(RigError, match="NumPy"):
+        load_calibration(tmp_path / "e.npz")
