@@ -8,25 +8,21 @@ kitti     tracking labels of 13 sequences: exact boxes, boxes with a noise of 2 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from track_range.evaluation.motion.nuscenes import read_mono3d
 from track_range.foundation.arrays import FloatArray, IntArray
-from track_range.ranging.evaluation.reference_distance import surface_distance_m
 from track_range.ranging.fitting.labelled_boxes import BoxSet, box_set
 from track_range.stereo.geometry.camera import PinholeCamera
 
 KITTI = {"kitti": ("labels", 0.0), "kitti 2 px": ("labels", 2.0), "kitti rrc": ("rrc:{}", 0.0)}
 SETS = ("tusimple", "nuscenes", *KITTI)
 KITTI_HEIGHT_M = 1.65  # of the cameras above the road (Geiger et al., 2013)
-BORDER_PX = 2.0  # distance from the image border within which a box counts as cut
-
-NUSCENES_CLASSES = {"pedestrian": "person"} | {name: name for name in ("car", "truck", "bus", "bicycle", "motorcycle")}
-"""Class in the results of the labelled classes; trailers, barriers and cones are not measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +42,7 @@ def road_set(name: str, data: Path) -> RoadSet:
     if name == "tusimple":
         return _tusimple(json.loads((data / "tusimple" / "truth.json").read_text(encoding="utf-8")))
     if name == "nuscenes":
-        return _nuscenes(json.loads((data / "nuscenes" / "mono3d.json").read_text(encoding="utf-8")))
+        return _nuscenes(data / "nuscenes" / "mono3d.json")
     source, noise_px = KITTI[name]
     folder = data / "kitti_labels"
     exact = box_set(folder / "label_02", folder / "calib")
@@ -76,33 +72,14 @@ def _tusimple(truth: Any) -> RoadSet:
     return RoadSet(boxes, height_m, np.arange(len(rows)), "north-america")
 
 
-def _nuscenes(labels: Any) -> RoadSet:
-    names = {category["id"]: category["name"] for category in labels["categories"]}
-    images = {image["id"]: (number, image) for number, image in enumerate(labels["images"])}
-    rows = [row for row in labels["annotations"] if names[row["category_id"]] in NUSCENES_CLASSES]
-    image = [images[row["image_id"]][1] for row in rows]
-    K = np.array([each["cam_intrinsic"] for each in image])
-    x_m, y_m, z_m, length_m, height_m, width_m, yaw_rad = np.array([row["bbox_cam3d"] for row in rows]).T
-    size_hwl_m = np.stack([height_m, width_m, length_m], axis=1)
-    left, top, width, height = np.array([row["bbox"] for row in rows]).T
-    rays = np.stack([left + width / 2, top + height / 2, np.ones(len(rows))], axis=1)
-    rays = np.linalg.solve(K, rays[:, :, None])[:, :, 0]
-    bottom_m = np.stack([x_m, y_m + height_m / 2, z_m], axis=1)  # the labels have the centre
-    boxes = _boxes(
-        "nuscenes",
-        np.array([images[row["image_id"]][0] for row in rows]),
-        [(names[row["category_id"]], NUSCENES_CLASSES[names[row["category_id"]]]) for row in rows],
-        np.stack([left, top, left + width, top + height], axis=1),
-        [
-            PinholeCamera(k[0, 0], k[1, 1], k[0, 2], k[1, 2], i["width"], i["height"])
-            for k, i in zip(K, image, strict=True)
-        ],
-        surface_distance_m(rays, bottom_m, size_hwl_m=size_hwl_m, rotation_y_rad=yaw_rad),
+def _nuscenes(path: Path) -> RoadSet:
+    labels = read_mono3d(path)
+    boxes, n = labels.boxes, len(labels.boxes)
+    image = np.unique([boxes.sequence, boxes.frame], axis=1, return_inverse=True)[1].reshape(-1)
+    separate = replace(
+        boxes, sequence_names=("nuscenes",), sequence=np.zeros(n, np.int64), frame=image, track_id=np.full(n, -1)
     )
-    is_whole = (left > BORDER_PX) & (left + width < boxes.size_px[:, 0] - 1 - BORDER_PX) & np.isfinite(boxes.distance_m)
-    camera_height_m = np.array([each["cam2ego_translation"][2] for each in image])
-    identity = _identities(*size_hwl_m.round(3).T)  # the size of an object's 3-D box is the same in all images
-    return RoadSet(boxes.select(is_whole), camera_height_m[is_whole], identity[is_whole], "north-america")
+    return RoadSet(separate, labels.camera_height_m, boxes.track_id, "north-america")
 
 
 def _boxes(

@@ -9,7 +9,9 @@ from tests.track_range.labelled_drives import F_PX, row
 from track_range.detection.formats.errors import LabelFileError
 from track_range.evaluation.motion.labelled_motion import kitti_motion, track_slopes
 from track_range.evaluation.motion.measured_motion import MeasuredMotion
+from track_range.evaluation.motion.nuscenes import nuscenes_motion
 from track_range.evaluation.motion.scores import motion_figures, speed_figures, ttc_figures
+from track_range.evaluation.motion.tusimple import tusimple_motion, velocity_score
 from track_range.foundation.errors import UsageError
 from track_range.ranging.fitting.labelled_boxes import FRAME_STEP_S
 
@@ -196,3 +198,114 @@ def test_a_given_sequence(shared_data, tmp_path):
     assert 3 < figures["ttc"]["below_6_s"]["rte_pct"] < 15
     assert figures["warnings"]["hours"] == pytest.approx(314 * FRAME_STEP_S / 3600, abs=1e-4)
     assert figures["warnings"]["false_alarms"] <= 1
+
+
+def test_official_velocity_score_by_hand():
+    """Errors of (1, 0) and (0, 2) near, 3 m/s at 44 m, none far away: the mean of 2.5 and 9."""
+    true = np.array([[1.0, 0.0], [-2.0, 1.0], [5.0, 0.0]])
+    velocity = true + np.array([[1.0, 0.0], [0.0, 2.0], [3.0, 0.0]])
+    position = np.array([[10.0, 1.0], [19.0, 2.0], [44.0, 3.0]])
+    score = velocity_score(velocity, true, position)
+    assert score == {"near": 2.5, "medium": 9.0, "far": None, "mean": 5.75}
+
+
+def mono3d(folder, speeds_mps, *, ego_mps=8.0, yaw_rad_s=0.0):
+    """A file of mono3d labels: cars from 30 m on, 3 m to the right, with these own speeds along the first axis."""
+    images, rows = [], []
+    for k in range(5):
+        t, a = 0.5 * k, -0.5 * yaw_rad_s * k  # nuScenes: x forward, y left, z up
+        image = {
+            "id": str(k),
+            "file_name": f"samples/CAM_FRONT/n__CAM_FRONT__{int(1e15 + 5e5 * k)}.jpg",
+            "cam2ego_rotation": [0.5, -0.5, 0.5, -0.5],
+            "cam2ego_translation": [0.0, 0.0, 1.5],
+            "ego2global_rotation": [np.cos(a / 2), 0.0, 0.0, np.sin(a / 2)],
+            "ego2global_translation": [ego_mps * t, 0.0, 0.0],
+            "cam_intrinsic": [[1000.0, 0.0, 800.0], [0.0, 1000.0, 450.0], [0.0, 0.0, 1.0]],
+            "width": 1600,
+            "height": 900,
+        }
+        images.append(image)
+        for number, speed_mps in enumerate(speeds_mps):
+            east, south = 32.0 + 12 * number + (speed_mps - ego_mps) * t, 3.0
+            x, z = np.cos(a) * south + np.sin(a) * east, np.cos(a) * east - np.sin(a) * south
+            rows.append(
+                {
+                    "image_id": str(k),
+                    "category_id": 0,
+                    "bbox": [1000 * (x - 0.9) / z + 800, 1000 * 0.1 / z + 450, 1800 / z, 1500 / z],
+                    "bbox_cam3d": [x, 0.85, z, 4.0 + number / 10, 1.5, 1.8, -np.pi / 2],
+                    "velo_cam3d": [np.sin(a) * speed_mps, np.cos(a) * speed_mps],
+                }
+            )
+    path = folder / "mono3d.json"
+    content = {"categories": [{"id": 0, "name": "car"}], "images": images, "annotations": rows}
+    path.write_text(json.dumps(content))
+    return path
+
+
+@pytest.mark.parametrize("yaw_rad_s", [0.0, 0.05])
+def test_motion_of_mono3d_labels(tmp_path, yaw_rad_s):
+    """A parked car and one at 6 m/s: closing speeds are the slopes of their depths, also while the camera turns."""
+    truth = nuscenes_motion(mono3d(tmp_path, [0.0, 6.0], yaw_rad_s=yaw_rad_s))
+    boxes = truth.boxes
+    z = boxes.distance_m + 2.0
+    assert len(boxes) == 10
+    assert len(np.unique(boxes.track_id)) == 2
+    known = np.isfinite(truth.closing_mps)
+    assert known.sum() == 6  # not in the first and the last image
+    assert truth.yaw_rad_s[known] == pytest.approx(yaw_rad_s, abs=1e-3)
+    for track, speed_mps in zip(boxes.track_id[:2], (0.0, 6.0), strict=True):
+        rows = boxes.track_id == track
+        slope = (z[rows][:-2] - z[rows][2:]) / 1.0
+        assert truth.closing_mps[rows][1:-1] == pytest.approx(slope, abs=0.12)
+        if yaw_rad_s == 0:
+            assert truth.closing_mps[rows][1:-1] == pytest.approx(8.0 - speed_mps, abs=1e-6)
+        assert truth.speed_mps[rows][1:-1] == pytest.approx(speed_mps, abs=1e-6)
+
+
+def test_other_files_are_no_mono3d_labels(tmp_path):
+    path = tmp_path / "other.json"
+    path.write_text('{"categories": [], "images": []}')
+    with pytest.raises(LabelFileError, match=r"other.json: expected mono3d labels"):
+        nuscenes_motion(path)
+
+
+def test_clips_of_tusimple_need_labels_and_images(tmp_path):
+    with pytest.raises(LabelFileError, match=r"annotation\.json"):
+        tusimple_motion(tmp_path)
+    box = {"left": 700.0, "top": 330.0, "right": 780.0, "bottom": 390.0}
+    labels = [{"bbox": box, "position": [24.0, 1.0], "velocity": [-2.0, 0.0]}]
+    (tmp_path / "annotation.json").write_text(json.dumps(labels))
+    with pytest.raises(LabelFileError, match=r"001\.jpg"):
+        tusimple_motion(tmp_path)
+    (tmp_path / "annotation.json").write_text("[{}]")
+    with pytest.raises(LabelFileError, match="position and velocity"):
+        tusimple_motion(tmp_path)
+
+
+@pytest.mark.real
+def test_closing_speeds_of_nuscenes(shared_data):
+    """Six cameras at 2 Hz, of a data set on which nothing of the filters was chosen."""
+    import track_range as tr
+
+    figures = tr.evaluate_motion(shared_data / "nuscenes" / "mono3d.json", data="nuscenes")
+    near, far = figures["bands"]["10-40"], figures["bands"]["40-80"]
+    assert 1100 < near["n"] < 1400
+    assert 0.75 < near["coverage"] < 0.95
+    assert 0.05 < near["median_mps"] < 0.4
+    assert 0.6 < near["within_1_sigma"] < 0.85
+    assert 0.9 < near["within_2_sigma"] < 0.99
+    assert 0.7 < far["coverage"] < 0.95
+
+
+@pytest.mark.real
+@pytest.mark.slow
+def test_velocity_of_a_tusimple_clip(shared_data):
+    import track_range as tr
+
+    figures = tr.evaluate_motion(shared_data / "tusimple" / "clip", data="tusimple")
+    assert figures["bands"]["10-40"]["coverage"] == 1.0
+    assert 0 <= figures["bands"]["10-40"]["median_mps"] < 0.6
+    assert 0 < figures["velocity_score"]["medium"] < 0.5
+    assert figures["velocity_score"]["near"] is None

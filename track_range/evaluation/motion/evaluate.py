@@ -6,8 +6,10 @@ from typing import Any
 
 from track_range.evaluation.motion.labelled_motion import LabelledMotion, kitti_motion
 from track_range.evaluation.motion.measured_motion import measured_motion
+from track_range.evaluation.motion.nuscenes import nuscenes_motion
 from track_range.evaluation.motion.scores import motion_figures
 from track_range.evaluation.motion.settings import MotionEvaluationSettings
+from track_range.evaluation.motion.tusimple import tusimple_motion
 from track_range.foundation.errors import UsageError
 from track_range.ranging.evaluation.box_methods import MethodOptions
 
@@ -18,6 +20,12 @@ def evaluate_motion(settings: MotionEvaluationSettings) -> dict[str, Any]:
     Raises LabelFileError, RigError: labels, poses or calibration cannot be used; UsageError: an unknown method, or
     folders that are missing.
     """
+    if settings.data == "tusimple":
+        truth, measured, score = tusimple_motion(settings.labels)
+        figures = {**motion_figures(truth, measured), "velocity_score": score}
+        return {"labels": str(settings.labels), "data": settings.data, "n_boxes": len(truth.boxes), **figures} | {
+            "notes": [f"Truth: {truth.protocol}. Measured by runs with one camera."]
+        }
     truth = _truth(settings)
     options = MethodOptions(
         is_cross_validated=settings.cross_validate,
@@ -28,6 +36,7 @@ def evaluate_motion(settings: MotionEvaluationSettings) -> dict[str, Any]:
     )
     return {
         "labels": str(settings.labels),
+        "data": settings.data,
         "boxes": settings.boxes,
         "noise_px": settings.noise_px,
         "seed": settings.seed,
@@ -42,6 +51,8 @@ def evaluate_motion(settings: MotionEvaluationSettings) -> dict[str, Any]:
 
 
 def _truth(settings: MotionEvaluationSettings) -> LabelledMotion:
+    if settings.data == "nuscenes":
+        return nuscenes_motion(settings.labels, noise_px=settings.noise_px, seed=settings.seed)
     if settings.calib is None or settings.poses is None:
         raise UsageError("expected the folders --calib and --poses of the labels; give both.")
     return kitti_motion(

@@ -14,10 +14,16 @@ class MotionEvaluationSettings(Options):
     labels: Annotated[
         Path,
         option(
-            "Folder of KITTI tracking labels, NAME.txt for each sequence.",
-            metavar="DIR",
+            "Folder of KITTI tracking labels, NAME.txt for each sequence, or the labels of --data.", metavar="DIR|FILE"
         ),
     ]
+    data: Annotated[
+        Literal["kitti", "tusimple", "nuscenes"],
+        option(
+            "Data set of the labels: kitti; tusimple, a clip of the velocity challenge with images, or a folder of "
+            "clips, measured by a run; nuscenes, a COCO file of mono3d labels."
+        ),
+    ] = "kitti"
     calib: Annotated[Path | None, option("Folder of KITTI calibration files with the same names.", metavar="DIR")] = (
         None
     )

@@ -59,6 +59,11 @@ def _grids(figures: Mapping[str, Any]) -> Iterator[tables.Grid]:
         yield tables.grid_of(title, "objects", list(rows), tables.columns_of(rows.values(), _SPEED))
     ttc = {key.replace("_", " "): row for key, row in figures["ttc"].items()}
     yield tables.grid_of("Time to collision", "true time", list(ttc), tables.columns_of(ttc.values(), _TTC))
+    if score := figures.get("velocity_score"):
+        columns = [
+            tables.Column(f"{name} (m/s)\N{SUPERSCRIPT TWO}", [value], "{:.2f}") for name, value in score.items()
+        ]
+        yield tables.grid_of("TuSimple's velocity score", "", ["all"], columns)
     causes = figures["warnings"]["by_cause"]
     counts = [tables.Column(name, [count], "{:.0f}") for name, count in causes.items()]
     columns = [*tables.columns_of([figures["warnings"]], _WARNINGS), *counts]

@@ -1,0 +1,136 @@
+"""Labelled motion of nuScenes: COCO files of mono3d labels, of six cameras at 2 Hz.
+
+An annotation has the 2-D box of its projected 3-D box (looser than a drawn one), the centre, length, height, width and
+yaw of the 3-D box in the frame of the camera, and its velocity over ground along the camera's x and z axis. An object
+has the same size in all images, which is its identity. V is the speed of the camera along its axis, w its yaw rate:
+
+    closing speed = V - v_z - w x
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from track_range.detection.formats.errors import LabelFileError
+from track_range.evaluation.motion.labelled_motion import LabelledMotion, track_slopes
+from track_range.foundation.arrays import FloatArray
+from track_range.foundation.files.input_files import MAX_TABLE_BYTES
+from track_range.foundation.files.structured_text import read_json
+from track_range.ranging.evaluation.reference_distance import surface_distance_m
+from track_range.ranging.fitting.labelled_boxes import BoxSet
+
+CLASSES: Mapping[str, str] = {
+    "pedestrian": "person",
+    **{name: name for name in ("car", "truck", "bus", "bicycle", "motorcycle")},
+}
+"""Class in the results of the labelled classes; trailers, barriers and cones are not measured."""
+
+BORDER_PX = 2.0  # distance from the image border within which a box counts as cut
+_ALONG = 0.95  # smallest cosine of the angle between the camera's axis and its motion
+_HALF_SPAN_S, _MIN_SIDE_S = 0.6, 0.35  # of slopes: one label, half a second before and after
+
+
+@dataclass(frozen=True, slots=True)
+class Mono3dLabels:
+    """N labelled boxes that end inside of the image, each camera being a sequence."""
+
+    boxes: BoxSet
+    velocity_mps: FloatArray  # (N, 2) over ground, along x and z of the camera; NaN = unknown
+    pose: FloatArray  # (N, 3, 4) from the camera to the world, m
+    camera_height_m: FloatArray  # (N,)
+
+
+def read_mono3d(path: Path) -> Mono3dLabels:
+    """The labels of a file; LabelFileError if it cannot be read."""
+    content = read_json(path, LabelFileError, "a COCO file of mono3d labels", max_bytes=MAX_TABLE_BYTES)
+    try:
+        return _labels(content)
+    except (ValueError, KeyError, TypeError, IndexError) as error:
+        raise LabelFileError(
+            f"{path}: expected mono3d labels of nuScenes with bbox_cam3d and velo_cam3d, found others ({error!r})."
+        ) from error
+
+
+def _labels(content: Any) -> Mono3dLabels:
+    names = {category["id"]: category["name"] for category in content["categories"]}
+    image_of = {image["id"]: image for image in content["images"]}
+    rows = [row for row in content["annotations"] if names[row["category_id"]] in CLASSES]
+    images = [image_of[row["image_id"]] for row in rows]
+    K = np.array([image["cam_intrinsic"] for image in images], np.float64)
+    cameras, sequence = np.unique([image["file_name"].split("/")[-2] for image in images], return_inverse=True)
+    time_s = np.array([int(Path(image["file_name"]).stem.split("__")[-1]) for image in images]) / 1e6
+    x_m, y_m, z_m, length_m, height_m, width_m, yaw_rad = np.array([row["bbox_cam3d"] for row in rows]).T
+    size_hwl_m = np.stack([height_m, width_m, length_m], axis=1)
+    left, top, width, height = np.array([row["bbox"] for row in rows]).T
+    rays = np.stack([left + width / 2, top + height / 2, np.ones(len(rows))], axis=1)
+    distance_m = surface_distance_m(
+        np.linalg.solve(K, rays[:, :, None])[:, :, 0],
+        np.stack([x_m, y_m + height_m / 2, z_m], axis=1),  # the labels have the centre
+        size_hwl_m=size_hwl_m,
+        rotation_y_rad=yaw_rad,
+    )
+    ego, camera = (
+        (
+            Rotation.from_quat(
+                np.array([image[f"{name}_rotation"] for image in images]), scalar_first=True
+            ).as_matrix(),
+            np.array([image[f"{name}_translation"] for image in images])[:, :, None],
+        )
+        for name in ("ego2global", "cam2ego")
+    )
+    pose = np.concatenate([ego[0] @ camera[0], ego[0] @ camera[1] + ego[1]], axis=2)
+    size_px = np.array([(image["width"], image["height"]) for image in images])
+    boxes = BoxSet(
+        sequence_names=tuple(cameras.tolist()),
+        sequence=sequence,
+        frame=np.unique(time_s, return_inverse=True)[1],
+        time_s=time_s - time_s.min(),
+        track_id=np.unique(size_hwl_m.round(3), axis=0, return_inverse=True)[1].reshape(-1),
+        kitti_type=np.array([names[row["category_id"]] for row in rows]),
+        class_name=np.array([CLASSES[names[row["category_id"]]] for row in rows]),
+        xyxy_px=np.stack([left, top, left + width, top + height], axis=1),
+        fxycxy_px=K[:, [0, 1, 0, 1], [0, 1, 2, 2]],
+        size_px=size_px,
+        distance_m=distance_m,
+        alpha_rad=yaw_rad - np.arctan2(x_m, z_m),
+        x_m=x_m,
+        size_hwl_m=size_hwl_m,
+        rotation_y_rad=yaw_rad,
+        occluded=np.zeros(len(rows), np.int64),
+    )
+    is_whole = (left > BORDER_PX) & (left + width < size_px[:, 0] - 1 - BORDER_PX) & np.isfinite(distance_m)
+    chosen = np.flatnonzero(is_whole)[np.lexsort((boxes.frame[is_whole], sequence[is_whole]))]
+    velocity_mps = np.array([row["velo_cam3d"] for row in rows], np.float64)
+    height_m = camera[1][:, 2, 0]
+    return Mono3dLabels(boxes.select(chosen), velocity_mps[chosen], pose[chosen], height_m[chosen])
+
+
+def nuscenes_motion(path: Path, *, noise_px: float = 0.0, seed: int = 0) -> LabelledMotion:
+    """Boxes of mono3d labels with their true motion; LabelFileError if the file cannot be read."""
+    labels = read_mono3d(path)
+    boxes, axis = labels.boxes, labels.pose[:, :, 2]
+    _, first, image = np.unique([boxes.sequence, boxes.frame], axis=1, return_index=True, return_inverse=True)
+    heading_rad = np.arctan2(axis[:, 1], axis[:, 0])  # to the left
+    values = np.column_stack([labels.pose[:, :, 3], np.cos(heading_rad), np.sin(heading_rad)])[first]
+    key, time_s = boxes.sequence[None, first], boxes.time_s[first]
+    slopes = track_slopes(key, time_s, values, half_span_s=_HALF_SPAN_S, min_side_s=_MIN_SIDE_S)[image.reshape(-1)]
+    ego_mps = (slopes[:, :3] * axis).sum(axis=1)
+    yaw_rad_s = np.sin(heading_rad) * slopes[:, 3] - np.cos(heading_rad) * slopes[:, 4]
+    own_mps = labels.velocity_mps
+    # speeds over ground are those of cameras that look along the road
+    is_along = np.abs(ego_mps) >= _ALONG * np.linalg.norm(slopes[:, :3], axis=1)
+    return LabelledMotion(
+        boxes=boxes.with_noise(noise_px, seed=seed) if noise_px > 0 else boxes,
+        closing_mps=ego_mps - own_mps[:, 1] - yaw_rad_s * boxes.x_m,
+        speed_mps=np.where(is_along, np.hypot(*own_mps.T), np.nan),
+        ego_mps=ego_mps,
+        yaw_rad_s=yaw_rad_s,
+        duration_s=float(np.ptp(boxes.time_s)) * len(boxes.sequence_names),
+        protocol="velocities of the labels, and the poses of the camera over half a second before and after",
+    )
