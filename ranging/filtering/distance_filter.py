@@ -59,6 +59,7 @@ _DRIFT = 0.2
 """Growth kappa of the systematic variance per change of log distance; `fusion` has 0.4 for the error of the size alone.
 Chosen on 13 of KITTI's tracking sequences."""
 
+_GROWTH_EVIDENCE = 1.0  # exponent of the likelihoods of growths, whose sigma is true
 _MAX_DRIFTING = 0.08  # largest relative sigma that drifts: that of shapes; more is an unknown scale, which is constant
 
 _MIN_DISTANCE_M = 0.3  # a track that is predicted to be nearer has passed the camera, and its filter restarts
@@ -305,7 +306,9 @@ class DistanceFilters:
         side, key = side.updated(state, nu, R, valid=known), key.updated(state, nu, R, valid=known)
         state = state.update(nu, R, valid=known)
         if growth is not None:
-            state, key = key.grown(state, growth, valid=~is_lost, outlier_sigma=settings.outlier_sigma)
+            state, key, nu, S = key.grown(state, growth, valid=~is_lost, outlier_sigma=settings.outlier_sigma)
+            is_grown = np.isfinite(nu).all(axis=1, keepdims=True)
+            weight = models.updated(weight, nu, S, valid=is_grown, evidence=_GROWTH_EVIDENCE)
         state = replace(state, x=np.maximum(state.x, _MIN_DISTANCE_M))
 
         # Restart.

@@ -52,15 +52,19 @@ class KeyDistance(NamedTuple):
 
     def grown(
         self, state: ConstantVelocity, growth: Growth, *, valid: BoolArray, outlier_sigma: float
-    ) -> tuple[ConstantVelocity, KeyDistance]:
-        """Both states after the growth; measurements beyond `outlier_sigma` standard deviations are down-weighted."""
+    ) -> tuple[ConstantVelocity, KeyDistance, FloatArray, FloatArray]:
+        """Both states after the growth, and its innovation in m, NaN = not measured, with its variance.
+
+        Measurements beyond `outlier_sigma` standard deviations are down-weighted.
+        """
         d, c = state.x, state.x / self.r
         nu = d * (growth.log_ratio - np.log(self.r / d))
         valid = valid & np.isfinite(nu)
         H_d, H_v, H_r = c * self.P_dr - state.P_xx, c * self.P_vr - state.P_xv, c * self.P_rr - self.P_dr  # P H^T
         S = np.maximum(c * H_r - H_d, 0.0)
         R = (d * growth.sigma) ** 2
-        R = R * np.maximum(1.0, np.abs(nu) / (outlier_sigma * np.sqrt(S + R))) ** 2
+        innovation, variance = np.where(valid, nu, np.nan), S + R
+        R = R * np.maximum(1.0, np.abs(nu) / (outlier_sigma * np.sqrt(variance))) ** 2
         weight, nu = np.where(valid, 1 / (S + R), 0.0), np.where(valid, nu, 0.0)
         H_d, H_v, H_r = (np.where(valid, part, 0.0) for part in (H_d, H_v, H_r))
         K_d, K_v, K_r = weight * H_d, weight * H_v, weight * H_r
@@ -71,9 +75,8 @@ class KeyDistance(NamedTuple):
             P_xv=state.P_xv - K_d * H_v,
             P_vv=state.P_vv - K_v * H_v,
         )
-        return grown, KeyDistance(
-            self.r + K_r * nu, self.P_dr - K_d * H_r, self.P_vr - K_v * H_r, self.P_rr - K_r * H_r
-        )
+        key = KeyDistance(self.r + K_r * nu, self.P_dr - K_d * H_r, self.P_vr - K_v * H_r, self.P_rr - K_r * H_r)
+        return grown, key, innovation, variance
 
     def started(self, state: ConstantVelocity, is_key: BoolArray) -> KeyDistance:
         """The state with copies of the distances where this frame becomes the key frame."""

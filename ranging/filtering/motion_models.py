@@ -78,9 +78,11 @@ class MotionModels:
         weight = weight - np.expm1(-dt / settings.switch_s) * np.where(is_moving, moving - weight, 0.0)
         return np.asarray((weight - np.expm1(-dt / settings.static_switch_s) * (prior - weight)) * (prior > 0))
 
-    def updated(self, weight: FloatArray, nu: FloatArray, S: FloatArray, *, valid: BoolArray) -> FloatArray:
-        """Probabilities after the innovations nu of variance S, where valid."""
-        likelihood = np.exp(-0.5 * _EVIDENCE * (np.minimum(nu * nu / S, _MAX_CHI2) + np.log(S)))
+    def updated(
+        self, weight: FloatArray, nu: FloatArray, S: FloatArray, *, valid: BoolArray, evidence: float = _EVIDENCE
+    ) -> FloatArray:
+        """Probabilities after the innovations nu of variance S, where valid; `evidence` is the exponent a."""
+        likelihood = np.exp(-0.5 * evidence * (np.minimum(nu * nu / S, _MAX_CHI2) + np.log(S)))
         weight = np.where(valid, weight * likelihood, weight)
         return np.asarray(weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-300))
 

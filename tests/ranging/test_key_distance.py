@@ -46,7 +46,7 @@ def test_against_a_filter_of_three_states():
             )
         else:
             H, nu = np.array([-1 / x[0], 0, 1 / x[2]]), 0.06 - np.log(x[2] / x[0])
-            state, key = key.grown(state, growth(0.06, 0.01), valid=YES, outlier_sigma=99.0)
+            state, key, _, _ = key.grown(state, growth(0.06, 0.01), valid=YES, outlier_sigma=99.0)
         K = P @ H / (H @ P @ H + R)
         x, P = x + K * nu, P - np.outer(K, H @ P)
     assert np.ravel([state.x, state.v, key.r]) == pytest.approx(x)
@@ -84,6 +84,24 @@ def test_growth_makes_rates_precise_and_their_sigma_true():
     assert np.median(with_growth.ttc_s) == pytest.approx(true_m / 8.0, rel=0.05)
 
 
+def test_growth_tells_moving_from_static_objects():
+    """Cars ahead at 4 m/s, from a camera at 10 m/s: with noisy distances alone, most appear to be parked."""
+    n, rng, close = 200, np.random.default_rng(5), {}
+    for has_growth in (False, True):
+        filters, key_m = DistanceFilters({"a": 0.7}), np.full(n, np.nan)
+        for step in range(12):
+            true_m = np.full(n, 60.0 - 0.6 * step)
+            distance_m = true_m * np.exp(rng.normal(0, 0.1, n))
+            log_ratio, is_key = np.log(key_m / true_m) + rng.normal(0, 0.008, n), step == 0
+            measured = Ranges(np.arange(n), distance_m, 0.14 * distance_m, 0.1 * distance_m)
+            grown = growth(log_ratio, 0.008, is_key=is_key) if has_growth else None
+            result = filters.update({"a": measured}, 0.1 * step, ego_speed_mps=10.0, ego_sigma_mps=0.1, growth=grown)
+            key_m = true_m if is_key else key_m
+        close[has_growth] = np.mean(np.abs(result["a"].state.v + 6.0) < 1.5)
+    assert 0.0 <= close[False] < 0.4
+    assert 0.75 < close[True] <= 1.0
+
+
 def test_outliers_count_less():
     """A growth of 30 % that was measured with a sigma of 1 % changes the rate by less than one of 2 %."""
     change_mps = []
@@ -91,7 +109,7 @@ def test_outliers_count_less():
         zero = np.zeros((1, 1))
         state = ConstantVelocity(zero + 50.0, zero - 2.5, zero + 4.0, zero + 1.0, zero + 1.0)
         key = KeyDistance(zero + 50.5, zero + 3.8, zero + 0.8, zero + 4.0)
-        after, _ = key.grown(state, growth(log_ratio, 0.01), valid=YES, outlier_sigma=3.0)
+        after, *_ = key.grown(state, growth(log_ratio, 0.01), valid=YES, outlier_sigma=3.0)
         change_mps.append(float(after.v[0, 0] - state.v[0, 0]))
     assert -1.0 < change_mps[1] < 0 > change_mps[0]
     assert abs(change_mps[1]) < 3 * abs(change_mps[0])
@@ -101,7 +119,7 @@ def test_without_a_key_frame_nothing_changes():
     zero = np.zeros((1, 1))
     state = ConstantVelocity(zero + 50.0, zero - 2.5, zero + 4.0, zero + 1.0, zero + 1.0)
     none = KeyDistance(zero * np.nan, zero, zero, zero)
-    after, key = none.grown(state, growth(0.1, 0.01), valid=YES, outlier_sigma=3.0)
+    after, key, *_ = none.grown(state, growth(0.1, 0.01), valid=YES, outlier_sigma=3.0)
     assert np.array_equal(after.columns, state.columns)
     assert np.isnan(key.r).all()
     started = key.started(state, np.array([True]))
