@@ -194,7 +194,8 @@ def test_a_given_sequence(shared_data, tmp_path):
     assert (near["n"], far["n"]) == (457, 270)
     assert 0.4 < near["coverage"] < 0.98
     assert 0.1 < near["median_mps"] < 1.1
-    assert 0.9 < figures["speed"]["bands"]["10-40"]["within_2_sigma"] <= 1.0
+    assert 0.1 < figures["speed"]["bands"]["10-40"]["median_mps"] < 0.9
+    assert 0.75 < figures["speed"]["bands"]["10-40"]["within_2_sigma"] < 0.98  # of `over_ground`, a hard sequence
     assert 3 < figures["ttc"]["below_6_s"]["rte_pct"] < 15
     assert figures["warnings"]["hours"] == pytest.approx(314 * FRAME_STEP_S / 3600, abs=1e-4)
     assert figures["warnings"]["false_alarms"] <= 1
@@ -235,7 +236,7 @@ def mono3d(folder, speeds_mps, *, ego_mps=8.0, yaw_rad_s=0.0):
                     "category_id": 0,
                     "bbox": [1000 * (x - 0.9) / z + 800, 1000 * 0.1 / z + 450, 1800 / z, 1500 / z],
                     "bbox_cam3d": [x, 0.85, z, 4.0 + number / 10, 1.5, 1.8, -np.pi / 2],
-                    "velo_cam3d": [np.sin(a) * speed_mps, np.cos(a) * speed_mps],
+                    "velo_cam3d": [np.sin(a) * speed_mps, np.cos(a) * speed_mps] if k < 4 else [np.nan, np.nan],
                 }
             )
     path = folder / "mono3d.json"

@@ -20,8 +20,8 @@ from scipy.spatial.transform import Rotation
 from track_range.detection.formats.errors import LabelFileError
 from track_range.evaluation.motion.labelled_motion import LabelledMotion, track_slopes
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.files.input_files import MAX_TABLE_BYTES
-from track_range.foundation.files.structured_text import read_json
+from track_range.foundation.files.input_files import MAX_TABLE_BYTES, read_text
+from track_range.foundation.files.structured_text import parse_json
 from track_range.ranging.evaluation.reference_distance import surface_distance_m
 from track_range.ranging.fitting.labelled_boxes import BoxSet
 
@@ -48,7 +48,9 @@ class Mono3dLabels:
 
 def read_mono3d(path: Path) -> Mono3dLabels:
     """The labels of a file; LabelFileError if it cannot be read."""
-    content = read_json(path, LabelFileError, "a COCO file of mono3d labels", max_bytes=MAX_TABLE_BYTES)
+    expected = "a COCO file of mono3d labels"
+    text = read_text(path, LabelFileError, expected, max_bytes=MAX_TABLE_BYTES)
+    content = parse_json(text.replace("NaN", "null"), path, LabelFileError, expected)  # unknown velocities
     try:
         return _labels(content)
     except (ValueError, KeyError, TypeError, IndexError) as error:
