@@ -37,6 +37,9 @@ StereoLayout = Literal["side-by-side", "right-left", "top-bottom", "bottom-top",
 """Where a recording of two cameras has their images: beside or below each other, the left camera's first or second, or
 in two video tracks."""
 
+Bayer = Literal["rggb", "bggr", "gbrg", "grbg"]
+"""Colours of the first two pixels of the first two rows of an image behind a Bayer filter."""
+
 LayoutOption = Literal["auto", "side-by-side", "right-left", "top-bottom", "bottom-top", "tracks"]
 
 

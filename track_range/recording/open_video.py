@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from track_range.foundation.files.atomic_files import describe
+from track_range.foundation.files.images import IMAGE_SUFFIXES
 from track_range.foundation.files.input_files import quoted
 from track_range.recording.bags.bag import is_bag
 from track_range.recording.bags.bag_video import BagVideo
@@ -12,7 +13,7 @@ from track_range.recording.files.image_folder import ImageFolder
 from track_range.recording.files.video_file import VideoFile
 from track_range.recording.frame import VideoError
 from track_range.recording.live.address import LiveAddress
-from track_range.recording.names import BagTopic, Half, RecordedName, Segments, VideoTrack
+from track_range.recording.names import BagTopic, Bayer, Half, RecordedName, Segments, VideoTrack, is_pattern
 from track_range.recording.pairs.video_half import VideoHalf
 from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.segments.segmented_video import SegmentedVideo, segment_files
@@ -27,19 +28,20 @@ def open_video(
     start_s: float = 0.0,
     duration_s: float | None = None,
     left: RecordedVideo | None = None,
+    bayer: Bayer | None = None,
 ) -> RecordedVideo:
     """A video file, several files that are one recording, a folder of numbered images, or a topic of a bag.
 
     The part to read begins `start_s` after the first frame, for the right video of a pair after that of its `left` one;
-    `folder_fps` is the frame rate of a folder without timestamps.txt. Raises VideoError if the path does not exist or
-    is no video, nothing can be decoded, or the images are too small.
+    `folder_fps` is the frame rate of a folder without times, `bayer` the filter of its images. Raises VideoError if
+    the path does not exist or is no video, nothing can be decoded, or the images are too small.
     """
     if isinstance(name, Half):
         if isinstance(name.recording, LiveAddress):
             raise VideoError(f"{name}: expected a recording, found a live source.")
-        video: RecordedVideo = VideoHalf(_opened(name.recording, folder_fps, left), name)
+        video: RecordedVideo = VideoHalf(_opened(name.recording, folder_fps, left, bayer), name)
     else:
-        video = _opened(name, folder_fps, left)
+        video = _opened(name, folder_fps, left, bayer)
     if min(video.width_px, video.height_px) < _MIN_SIDE_PX:
         video.close()
         raise VideoError(
@@ -51,7 +53,7 @@ def open_video(
 
 
 def _opened(
-    named: Path | Segments | BagTopic | VideoTrack, folder_fps: float, left: RecordedVideo | None
+    named: Path | Segments | BagTopic | VideoTrack, folder_fps: float, left: RecordedVideo | None, bayer: Bayer | None
 ) -> RecordedVideo:
     name, track = (named.recording, named.number) if isinstance(named, VideoTrack) else (named, None)
     if isinstance(name, Path) and is_bag(name):
@@ -64,6 +66,9 @@ def _opened(
         raise VideoError(f"{quoted(str(name))}: cannot be read (invalid name); check the name.") from error
     except OSError as error:
         raise VideoError(f"{name}: cannot be read ({describe(error)}); check its permissions.") from error
+    is_images = all(file.suffix.lower() in IMAGE_SUFFIXES for file in files or ())
+    if files and is_images and isinstance(name, Path) and is_pattern(name):
+        return ImageFolder(name, fps=folder_fps, bayer=bayer)
     if files is not None and (len(files) > 1 or isinstance(name, Segments)):
         return SegmentedVideo(name, files, left=left if isinstance(left, SegmentedVideo) else None, track=track)
     if files:
@@ -75,4 +80,4 @@ def _opened(
             f"{name}: expected a video file, found a named pipe; give a stream by its address, such as "
             "udp://127.0.0.1:5000, or record it to a file first."
         )
-    return ImageFolder(name, fps=folder_fps) if name.is_dir() else VideoFile(name, track)
+    return ImageFolder(name, fps=folder_fps, bayer=bayer) if name.is_dir() else VideoFile(name, track)

@@ -20,11 +20,13 @@ from track_range.recording.cameras.calibration import (
     assumed_rig,
     find_calibration,
 )
+from track_range.recording.files.image_names import stereo_images
 from track_range.recording.frame import VideoError
 from track_range.recording.live.address import LiveAddress
 from track_range.recording.live.live_video import LiveVideo
 from track_range.recording.names import (
     BagTopic,
+    Bayer,
     Half,
     LayoutOption,
     Segments,
@@ -176,6 +178,7 @@ def open_recording(
     topics: Sequence[str] = (),
     stereo_layout: LayoutOption | None = None,
     track: int | None = None,
+    bayer: Bayer | None = None,
     progress: StepProgress = no_progress,
 ) -> Recording:
     """Open one video or a pair for one pass over its rectified frames.
@@ -203,6 +206,7 @@ def open_recording(
         stereo_layout: where the images of one recording have those of two cameras: "side-by-side", "right-left",
             "top-bottom", "bottom-top", "tracks" (two video tracks), or "auto" = found out.
         track: video track of the files of one camera, counted from 0; None = the largest one.
+        bayer: Bayer filter of images in folders: "rggb", "bggr", "gbrg" or "grbg".
         progress: shows the progress of the alignment's estimation.
 
     Raises:
@@ -219,6 +223,9 @@ def open_recording(
         >>> recording.close()
     """
     left, right = _named(video_name(left), None if right is None else video_name(right), topics, track)
+    folder_notes: tuple[str, ...] = ()
+    if stereo_layout in (None, "auto") and isinstance(left, Path) and (right == left or stereo_layout):
+        left, right, folder_notes = _folders_of(left, right)
     is_packed = right == left or (right is None and stereo_layout is not None)
     utc = None if start_utc is None else parsed_utc(start_utc)
 
@@ -226,13 +233,15 @@ def open_recording(
         if isinstance(name, LiveAddress):
             return LiveVideo(name, start_s=start_s, duration_s=duration_s)
         left_video = beside if isinstance(beside, RecordedVideo) else None
-        return open_video(name, folder_fps=folder_fps, start_s=start_s, duration_s=duration_s, left=left_video)
+        return open_video(
+            name, folder_fps=folder_fps, start_s=start_s, duration_s=duration_s, left=left_video, bayer=bayer
+        )
 
     with ExitStack() as on_error:
         video = opened(left)
         on_error.callback(video.close)
         source: Video | PairedVideos = video
-        layout_notes = tuple[str, ...]()
+        layout_notes = folder_notes
         if is_packed:
             chosen = find_layout(video, stereo_layout or "auto")
             source, layout_notes = _packed(video, left, chosen.layout, opened), (chosen.sentence(str(left)),)
@@ -265,6 +274,14 @@ def open_recording(
                 monitors = _sync_monitors(source)
         on_error.pop_all()
     return Recording(_frames(source, calibration, monitors, utc), source, calibration, monitors, layout_notes, utc)
+
+
+def _folders_of(folder: Path, right: VideoName | None) -> tuple[Path, VideoName | None, tuple[str, ...]]:
+    """The left and right images of a folder that has both, and a note; else the folder and `right` as given."""
+    pair = stereo_images(folder) if folder.is_dir() else None
+    if pair is None:
+        return folder, right, ()
+    return pair[0], pair[1], (f"{folder}: the left images are {pair[0].name}, the right ones {pair[1].name}.",)
 
 
 def _packed(

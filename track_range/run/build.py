@@ -52,6 +52,7 @@ def open_input(settings: RunSettings, progress: StepProgress = no_progress, rig:
         start_s=settings.start_s,
         duration_s=settings.duration_s,
         folder_fps=settings.folder_fps,
+        bayer=settings.bayer,
         start_utc=settings.start_utc,
         topics=settings.topics,
         stereo_layout=settings.stereo_layout,

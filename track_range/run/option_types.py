@@ -55,6 +55,7 @@ class RunKeywords(PipelineKeywords, total=False):
     duration: float | None
     duration_s: float | None
     folder_fps: float | None
+    bayer: Literal["rggb", "bggr", "gbrg", "grbg"] | None
     start_utc: str | None
     ego_speed: str | Path | float | None
     truth: str | Path | None

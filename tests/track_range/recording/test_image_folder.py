@@ -94,7 +94,7 @@ def test_timestamps_of_another_recording_are_not_used(folder: Path, level: Level
     assert note.startswith(f"{path}: ignored")
 
 
-@pytest.mark.parametrize("text", ["0.0\n0.1\n", "2011-09-26 13:10:51.1\n2011-13-99 13:10:51.2\n"])
+@pytest.mark.parametrize("text", ["0.0\nnone\n", "0.1\n0.1\n", "2011-09-26 13:10:51.1\n2011-13-99 13:10:51.2\n"])
 def test_invalid_timestamps_are_not_used(folder: Path, level: Level, text: str) -> None:
     fill(folder, level, [0, 1])
     path = folder / "timestamps.txt"
@@ -145,8 +145,9 @@ def test_folder_without_numbered_images(folder: Path) -> None:
 def test_two_cameras_in_one_folder(folder: Path, level: Level) -> None:
     fill(folder, level, [0, 1], name="left_{}.png")
     fill(folder, level, [0, 1], name="right_{}.png")
-    with pytest.raises(VideoError, match=r"left_0.png and right_0.png .*number"):
-        open_video(folder)
+    reader = open_video(folder)
+    assert [frame.index for frame in reader] == [0, 1]
+    assert f"--stereo {folder}" in reader.notes[0]
 
 
 @pytest.mark.parametrize("stored", [b"", b"no image at all"])

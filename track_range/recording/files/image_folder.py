@@ -1,33 +1,37 @@
 """ImageFolder: a folder of numbered images as a video.
 
-The last number in a file name is the frame number, and time = number / fps: a missing number is a dropped frame, and
-left and right of a pair stay synchronised. If the folder or its parent contains KITTI's timestamps.txt, with one line
-such as `2011-09-26 13:10:51.168593664` per image, the times are read from it instead.
+The number in a file name is the frame number, and time = number / fps: a missing number is a dropped frame, and left
+and right of a pair stay synchronised. Times in the names, or in a file of times beside the images, are used instead
+(`image_names`).
 """
 
 from __future__ import annotations
 
-import itertools
-import re
 import stat
 from collections.abc import Generator
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
-from track_range.foundation.arrays import FloatArray, Image
-from track_range.foundation.files.atomic_files import describe
-from track_range.foundation.files.images import IMAGE_SUFFIXES, read_image
-from track_range.foundation.files.input_files import check_regular, counted, read_bytes
+from track_range.foundation.arrays import Image
+from track_range.foundation.files.images import read_image
+from track_range.foundation.files.input_files import check_regular, counted
+from track_range.recording.files.image_names import is_epoch, named_images
 from track_range.recording.frame import TIME_EPSILON_S, VideoError, VideoFrame, is_neutral, strictly_later
+from track_range.recording.names import Bayer
 from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.utc import ZONE_SPAN_S, UtcStart
 
-_MAX_NUMBER = 2**63 - 1  # largest frame number, an int64 like those of results; times in nanoseconds since 1970 fit
-_MAX_STAMP_BYTES = 200  # of a line of timestamps.txt
-_TIMESTAMPS_NAME = "timestamps.txt"
-_TIMESTAMP = re.compile(r"((?:19|20|21)\d\d-\d\d-\d\d)[ T](\d\d:\d\d:\d\d(?:\.\d{1,9})?)")
+BAYER_CODES = {
+    "rggb": cv2.COLOR_BayerRGGB2BGR,
+    "bggr": cv2.COLOR_BayerBGGR2BGR,
+    "gbrg": cv2.COLOR_BayerGBRG2BGR,
+    "grbg": cv2.COLOR_BayerGRBG2BGR,
+}
+_DARK = 257  # largest values below are those of dark images with 16 bits
 
 
 class UnreadableImageError(VideoError):
@@ -37,30 +41,24 @@ class UnreadableImageError(VideoError):
 class ImageFolder(RecordedVideo):
     """Numbered images in one folder, in the order of their numbers; those that cannot be read are skipped.
 
-    `fps` is the argument, or the median rate of timestamps.txt, with which times are seconds since 1970. Raises
+    `fps` is the argument, or the median rate of times in names or beside them, which may be seconds since 1970. Raises
     VideoError for no numbered images, two of one number, one that is no regular file, or no readable one.
     """
 
     path: Path
     n_total: int
 
-    def __init__(self, path: Path, *, fps: float) -> None:
+    def __init__(self, path: Path, *, fps: float, bayer: Bayer | None = None) -> None:
         self.path = path
-        self._images = _numbered_images(path)
+        self._images, times_s, self._folder_notes, self._clock, self._is_local = named_images(path)
         self._states = [_state(image) for _, image in self._images]
         self.n_total = len(self._images)
-        first, last = self._images[0][0], self._images[-1][0]
-        stamps_s, self._folder_notes = _stamps_of(path, self.n_total)
-        self._has_stamps = stamps_s is not None
-        steps_s = np.diff([] if stamps_s is None else stamps_s)
+        self._has_stamps = times_s is not None and is_epoch(float(times_s[0]))
+        steps_s = np.diff([] if times_s is None else times_s)
         steps_s = steps_s[steps_s > TIME_EPSILON_S]
         self.fps = float(1 / np.median(steps_s)) if steps_s.size else fps
-        self._times_s = [number / fps for number, _ in self._images] if stamps_s is None else stamps_s.tolist()
-        if n_missing := last - first + 1 - self.n_total:
-            self._folder_notes.append(
-                f"{path}: {counted(n_missing, 'number is', 'numbers are')} missing between "
-                f"{self._images[0][1].name} and {self._images[-1][1].name}; treated as dropped frames."
-            )
+        self._times_s = [number / fps for number, _ in self._images] if times_s is None else times_s.tolist()
+        self._shift, self._bayer = 0, bayer
         self._leading: list[VideoError] = []  # errors of unreadable images before the first readable one
         number, image = self._first_readable()
         self.first_time_s = self._times_s[number]
@@ -74,7 +72,9 @@ class ImageFolder(RecordedVideo):
         """See `RecordedVideo`."""
         if not self._has_stamps:
             return None
-        return UtcStart(self.first_time_s, "timestamps.txt", ZONE_SPAN_S, is_local=True)
+        return UtcStart(
+            self.first_time_s, self._clock, ZONE_SPAN_S if self._is_local else None, is_local=self._is_local
+        )
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -119,7 +119,14 @@ class ImageFolder(RecordedVideo):
         """The first image that can be read, and its place in the list; raises the first error if none can."""
         for number, (_, path) in enumerate(self._images):
             try:
-                return number, _decoded(path)
+                stored = _stored(path, self._bayer)
+                self._shift = _shift_of(stored)
+                if self._shift not in (0, 8):
+                    self._folder_notes.append(
+                        f"{self.path}: images of {8 + self._shift} bits per channel, by their largest value; reduced "
+                        "to their upper 8 bits."
+                    )
+                return number, _reduced(stored, self._shift, self._bayer)
             except UnreadableImageError as error:
                 self._leading.append(error)
         raise self._leading[0]
@@ -127,45 +134,33 @@ class ImageFolder(RecordedVideo):
     def _image(self, path: Path) -> Image:
         if not path.exists():
             raise VideoError(f"{path}: the image was deleted or moved while the folder was read; repeat the run.")
-        image = _decoded(path)
+        image = _reduced(_stored(path, self._bayer), self._shift, self._bayer)
         advice = "a folder must contain the images of one camera"
         self.check_size(image.shape[1::-1], " like the first image", advice, path)
         return image
 
 
-def _numbered_images(folder: Path) -> list[tuple[int, Path]]:
-    """(number, path) of a folder's images, sorted by number; the number is the last one in the file name."""
-    try:
-        names = list(folder.iterdir())
-    except OSError as error:
-        raise VideoError(f"{folder}: the folder cannot be read ({describe(error)}); check its permissions.") from error
-    entries = [entry for entry in names if entry.suffix.lower() in IMAGE_SUFFIXES and entry.name[0] != "."]
-    numbers = ((re.findall(r"\d+", entry.stem), entry) for entry in entries)
-    images = sorted((int(digits[-1]), entry) for digits, entry in numbers if digits)
-    if not images:
-        raise VideoError(
-            f"{folder}: expected numbered images (000000.png, 000001.png, ...) or videos, found none; give the "
-            "folder that contains them, or a video file."
-        )
-    if images[-1][0] > _MAX_NUMBER:
-        raise VideoError(f"{images[-1][1]}: expected a frame number of at most 19 digits; rename the images.")
-    for (number, path), (next_number, next_path) in itertools.pairwise(images):
-        if number == next_number:
-            raise VideoError(
-                f"{folder}: {path.name} and {next_path.name} have the same number {number}; put the images of each "
-                "camera in a separate folder."
-            )
-    return images
-
-
-def _decoded(path: Path) -> Image:
-    """The image of a file as (H, W, 3) uint8 BGR, upright by EXIF; 16-bit images are reduced to their upper 8 bits."""
-    image = read_image(
-        path, UnreadableImageError, "an image of the folder", flags=cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH
-    )
+def _stored(path: Path, bayer: Bayer | None) -> npt.NDArray[Any]:
+    """The pixels of a file, uint8 or uint16: (H, W, 3) BGR, upright by EXIF, or (H, W) behind a Bayer filter."""
+    flags = cv2.IMREAD_COLOR if bayer is None else cv2.IMREAD_GRAYSCALE
+    image = read_image(path, UnreadableImageError, "an image of the folder", flags=flags | cv2.IMREAD_ANYDEPTH)
     if image.dtype not in (np.uint8, np.uint16):
         raise VideoError(f"{path}: expected 8- or 16-bit pixels, got {image.dtype}; convert the images.")
-    return (image >> 8 if image.dtype == np.uint16 else image).astype(np.uint8, copy=False)
+    return image
+
+
+def _shift_of(image: npt.NDArray[Any]) -> int:
+    """Number of lowest bits to drop: of cameras with 10, 12 or 14 bits, the upper bits of 16 are zero."""
+    if image.dtype == np.uint8:
+        return 0
+    largest = int(image.max())
+    return next((n_bits - 8 for n_bits in (10, 12, 14) if _DARK <= largest < 1 << n_bits), 8)
+
+
+def _reduced(image: npt.NDArray[Any], shift: int, bayer: Bayer | None) -> Image:
+    """The image as (H, W, 3) uint8 BGR."""
+    reduced = np.minimum(image >> shift, 255).astype(np.uint8) if image.dtype == np.uint16 else image
+    return np.asarray(reduced if bayer is None else cv2.cvtColor(reduced, BAYER_CODES[bayer]), np.uint8)
 
 
 def _state(path: Path) -> tuple[int, int]:
@@ -178,23 +173,3 @@ def _state(path: Path) -> tuple[int, int]:
         check_regular(path, VideoError, "an image of the folder")
         status = path.stat()
     return status.st_size, status.st_mtime_ns
-
-
-def _stamps_of(folder: Path, n_images: int) -> tuple[FloatArray | None, list[str]]:
-    """(n_images,) seconds since 1970 from timestamps.txt, None if there is no usable one; and notes for the user."""
-    candidates = (parent / _TIMESTAMPS_NAME for parent in (folder, folder.absolute().parent))
-    file = next((candidate for candidate in candidates if candidate.is_file()), None)
-    if file is None:
-        return None, []
-    content = read_bytes(file, VideoError, "a date and time per image", max_bytes=_MAX_STAMP_BYTES * (n_images + 1))
-    lines = content.decode(errors="replace").split("\n")
-    stamps = [line.strip() for line in lines if line.strip()]
-    if len(stamps) != n_images:
-        n_lines = counted(len(stamps), "line")
-        return None, [f"{file}: ignored; it has {n_lines} for {counted(n_images, 'image')}."]
-    try:
-        dates = [_TIMESTAMP.sub(r"\1T\2", stamp) if _TIMESTAMP.fullmatch(stamp) else "invalid" for stamp in stamps]
-        stamps_s = np.array(dates, "datetime64[ns]").astype(np.int64) / 1e9
-    except ValueError:
-        return None, [f"{file}: ignored; expected a date and time on every line."]
-    return stamps_s, [f"{file}: used for the frame times of {folder}."]

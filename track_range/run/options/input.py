@@ -12,7 +12,7 @@ from pydantic import field_serializer, field_validator
 
 from track_range.foundation.errors import ConfigError
 from track_range.foundation.options import Options, option
-from track_range.recording.names import LayoutOption, Segments, VideoName, video_name
+from track_range.recording.names import Bayer, LayoutOption, Segments, VideoName, video_name
 from track_range.recording.utc import parsed_utc
 
 _clip_option = partial(option, is_per_clip=True)
@@ -127,6 +127,13 @@ class InputOptions(Options):
         float,
         _clip_option("Frame rate of folders of images, which have no timestamps.", metavar="FPS", ge=0.01, le=1000),
     ] = 10.0
+    bayer: Annotated[
+        Bayer | None,
+        _clip_option(
+            "Bayer filter of the images of a folder, which are stored without colours (.pgm, .png, .tiff), by the "
+            "colours of the first two pixels of their first two rows: rggb, bggr, gbrg or grbg."
+        ),
+    ] = None
     start_utc: Annotated[
         str | None,
         _clip_option(

@@ -1,0 +1,272 @@
+"""Names of the images of a folder: their order, the number or time in each, and the camera.
+
+time      a date (2026-01-31T14-25-30.123), a decimal (1305031102.175304), or 10 to 19 digits without zeros in front,
+in the unit (s, ms, us, ns) that gives a plausible frame rate; in all names, and each another one
+number    the last field of digits that is another one in each name, in the same order as all fields together
+else      natural order: fields of digits are compared as numbers
+
+0000000007.png (KITTI)   aachen_000000_000019_leftImg8bit.png (Cityscapes)   000003_10.png (KITTI 2015)
+1403636579763555584.png (EuRoC)   n015-2018-07-24-11-22-45+0800__CAM_FRONT__1532402927612460.jpg (nuScenes)
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray
+from track_range.foundation.files.atomic_files import describe
+from track_range.foundation.files.images import IMAGE_SUFFIXES
+from track_range.foundation.files.input_files import MAX_TEXT_BYTES, counted, read_text
+from track_range.recording.frame import VideoError
+from track_range.recording.names import is_pattern, matching_files
+
+_DATE = re.compile(
+    r"(?<!\d)((?:19|20)\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])[-_.T ]{0,3}"
+    r"([01]\d|2[0-3])[-_.:h]?([0-5]\d)[-_.:m]?([0-5]\d)(?:[-_.,]?(\d{9}|\d{6}|\d{3}))?(?!\d)"
+)
+_DECIMAL = re.compile(r"(\d+)\.(\d+)")
+_INTEGER = re.compile(r"(?<![\d.])([1-9]\d{9,18})(?![\d.])")
+_UNITS_S = (1.0, 1e-3, 1e-6, 1e-9)
+_STEP_S, _USUAL_STEP_S = (5e-4, 20.0), 0.05  # plausible median times between frames, and a usual one
+_EPOCH_S = (6e8, 4.2e9)  # 1989 to 2103; a time in this range is taken as one since 1970
+_MAX_GAP = 100  # largest mean step of numbers that count frames
+_TIME_FILES = ("timestamps.txt", "times.txt", "data.csv", "timestamps.csv", "times.csv", "rgb.txt")
+_MAX_LINE_BYTES = 300  # of these files, per image
+_SIDES = (  # parts of names of the left and the right camera; between other characters than letters and digits
+    *(
+        ("left", "right"),
+        ("l", "r"),
+        ("cam0", "cam1"),
+        ("cam_0", "cam_1"),
+        ("camera0", "camera1"),
+        ("infra1", "infra2"),
+    ),
+    *(("camera_0", "camera_1"), ("image_02", "image_03"), ("image_2", "image_3"), ("image_00", "image_01")),
+    *(("image_0", "image_1"), ("cam1", "cam2"), ("leftimg8bit", "rightimg8bit"), ("im0", "im1")),
+)
+_FOLDERS = (*_SIDES, ("left_images", "right_images"), ("left_rgb", "right_rgb"), ("image_left", "image_right"))
+
+
+class NamedImages(NamedTuple):
+    """Images of one camera in their order."""
+
+    images: list[tuple[int, Path]]  # the number of each frame, and its file
+    times_s: FloatArray | None  # (N,) times, seconds; None = by the numbers and a frame rate
+    notes: list[str]
+    clock: str = ""  # what states times, for the source of UTC
+    is_local: bool = False  # whether times are dates, whose time zone is unknown
+
+
+def named_images(folder: Path) -> NamedImages:
+    """The images of a folder or pattern, of two cameras the left one's. Raises VideoError if there are none.
+
+    Times are those of a file beside the images (timestamps.txt, times.txt, data.csv), else those in the names.
+    """
+    try:
+        files = matching_files(folder) if is_pattern(folder) else list(folder.iterdir())
+    except OSError as error:
+        raise VideoError(f"{folder}: the folder cannot be read ({describe(error)}); check its permissions.") from error
+    files = [file for file in files if file.suffix.lower() in IMAGE_SUFFIXES and file.name[0] != "."]
+    files = [file for file in files if re.search(r"\d", file.stem)]
+    if not files:
+        raise VideoError(
+            f"{folder}: expected numbered images (000000.png, 000001.png, ...) or videos, found none; give the "
+            "folder that contains them, or a video file."
+        )
+    notes: list[str] = []
+    if (sides := _sides_in(files)) is not None:
+        files = sides[0]
+        notes.append(
+            f"{folder}: the images of two cameras; those of the left one are used ({files[0].name}, not "
+            f"{sides[1][0].name}); --stereo {folder} uses both."
+        )
+    files = sorted(files, key=lambda file: (_fields(file.stem), file.name))
+    times_s = _times_in_names([file.stem for file in files])
+    if times_s is not None:
+        order = np.argsort(times_s, kind="stable")
+        files, times_s = [files[i] for i in order], times_s[order]
+    images = list(enumerate(files)) if times_s is not None else _numbered(files, folder, notes)
+    stated = _stated_times(folder, [file for _, file in images], notes)
+    if stated is not None:
+        return NamedImages(images, stated[1], notes, stated[0], stated[2])
+    return NamedImages(images, times_s, notes, "names of the images", _DATE.search(files[0].stem) is not None)
+
+
+def stereo_images(folder: Path) -> tuple[Path, Path] | None:
+    """The left and right folder in a folder, or the patterns of left and right images in it; None = neither."""
+    names = {entry.name.lower(): entry for entry in sorted(folder.iterdir()) if entry.is_dir()}
+    for left, right in _FOLDERS:
+        if left in names and right in names:
+            pair = names[left], names[right]
+            inside = pair[0] / "data", pair[1] / "data"
+            return inside if all(path.is_dir() for path in inside) else pair
+    files = [file for file in folder.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES and file.name[0] != "."]
+    if (sides := _sides_in(files)) is None:
+        return None
+    words = [re.sub(r"([\[*?])", r"[\1]", _side_word(half[0].stem)) for half in sides]
+    return folder / f"*{words[0]}*", folder / f"*{words[1]}*"
+
+
+def _sides_in(files: Sequence[Path]) -> tuple[list[Path], list[Path]] | None:
+    """The images of the left and of the right camera, whose names differ only in the side; None = of one camera."""
+    for left, right in _SIDES:
+        halves = [[file for file in files if _word(side).search(file.stem)] for side in (left, right)]
+        remaining = [
+            {_word(side).sub("", file.stem.lower()) for file in half}
+            for side, half in zip((left, right), halves, strict=True)
+        ]
+        if halves[0] and halves[1] and len(remaining[0] & remaining[1]) > min(map(len, remaining)) / 2:
+            return sorted(halves[0]), sorted(halves[1])
+    return None
+
+
+def _word(side: str) -> re.Pattern[str]:
+    return re.compile(rf"(?<![a-z]){re.escape(side)}(?![a-z{'0-9' if side[-1].isdigit() else ''}])", re.IGNORECASE)
+
+
+def _side_word(stem: str) -> str:
+    """The part of a name that states the side, with the character before or behind it for a single letter."""
+    for pair in _SIDES:
+        for side in pair:
+            if match := _word(side).search(stem):
+                start, end = match.span()
+                return (
+                    stem[max(start - 1, 0) : end] if len(side) == 1 and start else stem[start : end + (len(side) == 1)]
+                )
+    return stem
+
+
+def _fields(stem: str) -> tuple[tuple[int, int, str], ...]:
+    """Texts and numbers of a name, so that names are sorted in natural order."""
+    parts = re.split(r"(\d+)", stem)
+    return tuple((1, int(part[:400]), "") if part.isdecimal() else (0, 0, part) for part in parts)
+
+
+def _numbered(files: Sequence[Path], folder: Path, notes: list[str]) -> list[tuple[int, Path]]:
+    """The frame number of each image, in the order of the files: in the names, else counted."""
+    digits = [re.findall(r"\d+", file.stem) for file in files]
+    columns = [
+        [int(fields[-place]) for fields in digits if len(fields) >= place] for place in range(1, len(digits[-1]) + 1)
+    ]
+    for column in columns:
+        is_number = len(column) == len(files) and bool((np.diff(np.array(column, object)) > 0).all())
+        if is_number and column[-1] - column[0] < _MAX_GAP * len(files) and column[-1] < 2**63:
+            if n_missing := column[-1] - column[0] + 1 - len(files):
+                notes.append(
+                    f"{folder}: {counted(n_missing, 'number is', 'numbers are')} missing between {files[0].name} and "
+                    f"{files[-1].name}; treated as dropped frames."
+                )
+            return list(zip(column, files, strict=True))
+    notes.append(
+        f"{folder}: the numbers in the names do not count the frames ({files[0].name}, {files[-1].name}); the images "
+        "are taken in the order of their names, at the frame rate --folder-fps."
+    )
+    return list(enumerate(files))
+
+
+def _times_in_names(stems: Sequence[str]) -> FloatArray | None:
+    """(N,) times in seconds in the names; None if a name has none, or two have the same."""
+    if len(stems) < 2:
+        return None
+    dates = [list(_DATE.finditer(stem)) for stem in stems]
+    if all(dates):
+        try:
+            texts = ["{}-{}-{}T{}:{}:{}.{}".format(*(group or "0" for group in parts[-1].groups())) for parts in dates]
+            times_s = _if_distinct(np.array(texts, "datetime64[ns]").astype(np.int64) / 1e9)
+        except ValueError:
+            times_s = None
+        if times_s is not None:
+            return times_s
+    decimals = [_DECIMAL.findall(stem) for stem in stems]
+    if all(decimals):
+        # Some programs write sec.micro without zeros in front of the fraction: 1305031102.75304 is 0.075304 s. The
+        # reading with the steadier steps is taken.
+        whole = np.array([float(parts[-1][0]) for parts in decimals])
+        fractions = [parts[-1][1][:18] for parts in decimals]
+        n_digits = max(map(len, fractions))
+        readings = [
+            _if_distinct(whole + [float("0." + text) for text in texts])
+            for texts in (fractions, [text.zfill(n_digits) for text in fractions])
+        ]
+        distinct = [np.sort(reading) for reading in readings if reading is not None]
+        if distinct:
+            steadiest = min(distinct, key=lambda times_s: float(np.std(np.diff(times_s))))
+            return next(r for r in readings if r is not None and np.array_equal(np.sort(r), steadiest))
+    integers = [_INTEGER.findall(stem) for stem in stems]
+    return _in_seconds(np.array([float(parts[-1]) for parts in integers])) if all(integers) else None
+
+
+def _if_distinct(times_s: FloatArray) -> FloatArray | None:
+    return times_s if len(np.unique(times_s)) == len(times_s) else None
+
+
+def _in_seconds(values: FloatArray) -> FloatArray | None:
+    """(N,) times in seconds of times in an unknown unit; None if none gives a plausible frame rate."""
+    steps = np.diff(np.unique(values))
+    if len(steps) + 1 < len(values) or not len(steps):
+        return None
+    step, units = float(np.median(steps)), [unit for unit in _UNITS_S if _EPOCH_S[0] < values[0] * unit < _EPOCH_S[1]]
+    plausible = [unit for unit in units or _UNITS_S if _STEP_S[0] <= step * unit <= _STEP_S[1]]
+    if not plausible:
+        return None
+    return np.asarray(values * min(plausible, key=lambda unit: abs(math.log(step * unit / _USUAL_STEP_S))))
+
+
+def _stated_times(folder: Path, files: Sequence[Path], notes: list[str]) -> tuple[str, FloatArray, bool] | None:
+    """Name of a file of times in or beside the folder, (N,) times in seconds, and whether they are dates; or None."""
+    places = (
+        (folder.parent, folder.absolute().parent.parent) if is_pattern(folder) else (folder, folder.absolute().parent)
+    )
+    candidates = (place / name for name in _TIME_FILES for place in places)
+    file = next((candidate for candidate in candidates if candidate.is_file()), None)
+    if file is None:
+        return None
+    expected = "a date and time, or seconds, per image"
+    text = read_text(file, VideoError, expected, max_bytes=max(_MAX_LINE_BYTES * (len(files) + 1), MAX_TEXT_BYTES))
+    lines = [line.strip() for line in text.split("\n") if line.strip() and line.lstrip()[0] not in "#%"]
+    rows = [re.split(r"[,;\t]|\s+(?=\S*[a-zA-Z/])|(?<=\d)\s+(?=\d+$)", line) for line in lines]
+    rows = [row for row in rows if re.match(r"[-+.\d]", row[0])]
+    by_name = {Path(cell.strip()).name: row[0] for row in rows for cell in row[1:]}
+    if all(image.name in by_name for image in files):
+        cells = [by_name[image.name] for image in files]
+    elif len(rows) == len(files):
+        cells = [row[0] for row in rows]
+    else:
+        notes.append(f"{file}: ignored; it has {counted(len(rows), 'line')} for {counted(len(files), 'image')}.")
+        return None
+    times_s = _parsed_times(cells)
+    if times_s is None:
+        notes.append(f"{file}: ignored; expected a date and time, or increasing seconds, on every line.")
+        return None
+    notes.append(f"{file}: used for the frame times of {folder}.")
+    return file.name, times_s, _TIMESTAMP.match(cells[0].strip()) is not None
+
+
+_TIMESTAMP = re.compile(r"((?:19|20|21)\d\d-\d\d-\d\d)[ T](\d\d:\d\d:\d\d(?:\.\d{1,9})?)")
+
+
+def _parsed_times(cells: Sequence[str]) -> FloatArray | None:
+    """(N,) times in seconds of dates, seconds, or whole numbers in another unit; None for others."""
+    try:
+        if all(_TIMESTAMP.fullmatch(cell.strip()) for cell in cells):
+            dates = [_TIMESTAMP.sub(r"\1T\2", cell.strip()) for cell in cells]
+            return np.asarray(np.array(dates, "datetime64[ns]").astype(np.int64) / 1e9)
+        values = np.array([float(cell) for cell in cells])
+    except ValueError:
+        return None
+    if not np.isfinite(values).all() or (len(values) > 1 and not values.max() > values.min()):
+        return None
+    if all(cell.strip().isdecimal() for cell in cells) and values.max() > _EPOCH_S[0]:
+        return _in_seconds(values)
+    return values
+
+
+def is_epoch(time_s: float) -> bool:
+    """Whether a time is one in seconds since 1970."""
+    return _EPOCH_S[0] < time_s < _EPOCH_S[1]
