@@ -44,6 +44,7 @@ _ZED_SIZES = {  # (width, height) of the images of one side by the name of the m
     "QHDPLUS": (3200, 1800),
 }  # fmt: skip
 _ZED_SECTION = re.compile(r"^\s*\[LEFT_CAM_(\w+)\]", re.MULTILINE | re.IGNORECASE)
+_OAK_UNITS_CM = {0: 100.0, 1: 1.0, 2: 0.1, 3: 2.54, 4: 30.48}  # depthai-core, LengthUnit: m, cm, mm, in, ft
 _SPEC_DIFFERENCE = 0.05  # relative difference of the baselines by calibration and by specification that is noted
 
 
@@ -113,6 +114,7 @@ class _Extrinsics(BaseModel):
     translation: _Point = _Point()
     specTranslation: _Point = _Point()
     toCameraSocket: Integer = -1
+    lengthUnit: Integer = 1
 
 
 class _OakCamera(BaseModel):
@@ -204,7 +206,8 @@ def _route(cameras: Mapping[int, _OakCamera], start: int, goal: int) -> _Path | 
         motions = []
         for translation in (camera.extrinsics.translation, camera.extrinsics.specTranslation):
             motion = np.eye(4)
-            motion[:3, :3], motion[:3, 3] = camera.extrinsics.rotationMatrix, translation.array()
+            motion[:3, :3] = camera.extrinsics.rotationMatrix
+            motion[:3, 3] = translation.array() * _OAK_UNITS_CM.get(camera.extrinsics.lengthUnit, 1.0)
             motions.append(motion)
         steps[socket].append((to, _Path(*motions)))
         steps[to].append((socket, _Path(*map(inverse_motion, motions))))

@@ -32,6 +32,7 @@ from track_range.stereo.rig_formats.values.quantities import Quantities, Side, q
 
 EXPECTED = "a calibration"
 _OPENCV_TITLE = "the files of OpenCV's stereo_calib"
+_WIDE_M = 1.0  # of usual baselines; scripts without a square size have 2 to 5 squares
 _VEHICLE = 2.6  # width of the widest vehicles, metres; no baseline is longer
 _MILLIMETRES, _CENTIMETRES = 30.0, 5.0  # |T| from which it is read as millimetres, and as centimetres
 _FISHEYE_RAD = 1.6  # 2 cx / fx of images with four coefficients above which they are those of a fisheye lens
@@ -80,10 +81,11 @@ def read_kind(kind: Kind, text: str, path: Path, *, is_pair: bool) -> RigCalibra
     given = quantities_of(
         plain_values(text, path, "a calibration of OpenCV" if kind.name == "opencv" else EXPECTED), path
     )
-    given = _completed(given, path, is_pair=is_pair)
+    given, beside = _completed(given, path, is_pair=is_pair)
     if not any(quantity in ("K", "fx", "P") for _, quantity in given.values):
         raise RigError(_unusable(given, path))
     sides = given.sides()[:2] or [None]
+    title = kind.title + (f" with {' and '.join(file.name for file in beside)}" if beside else "")
     notes: list[str] = []
     is_fisheye = _is_fisheye(given, sides, path, notes)
     has_extrinsics = any(quantity in _EXTRINSIC for _, quantity in given.values)
@@ -103,7 +105,7 @@ def read_kind(kind: Kind, text: str, path: Path, *, is_pair: bool) -> RigCalibra
         second = _camera(kind, given, sides[1], "2", path, is_fisheye=is_fisheye) if len(sides) == 2 else left
         metres, reason = _unit(kind, given, abs(float(length[0])))
         pair_of = "rectified images" if kind.is_rectified or not left.is_distorted else "parallel cameras"
-        notes.append(f"{path}: {kind.title}: the baseline is {abs(length[0]) * metres:.5g} m, {reason}; {pair_of}.")
+        notes.append(f"{path}: {title}: the baseline is {abs(length[0]) * metres:.5g} m, {reason}; {pair_of}.")
         if kind.assumption:
             notes.append(f"{path}: assumed: {kind.assumption}.")
         motion = np.eye(4)
@@ -126,7 +128,7 @@ def read_kind(kind: Kind, text: str, path: Path, *, is_pair: bool) -> RigCalibra
     )
     _contradictions(given, sides, motion, path, notes)
     motion[:3, 3] *= metres
-    notes.insert(0, f"{path}: {kind.title}: the baseline is {length * metres:.4g} m, {reason}.")
+    notes.insert(0, f"{path}: {title}: the baseline is {length * metres:.4g} m, {reason}.")
     if motion[0, 3] > abs(motion[1, 3]) and sides[0] is not None:
         motion = inverse_motion(motion)
         if sides[0] == "left":
@@ -146,32 +148,27 @@ def read_kind(kind: Kind, text: str, path: Path, *, is_pair: bool) -> RigCalibra
 _EXTRINSIC = ("R", "T", "R_transposed", "second_from_first", "first_from_second")
 
 
-def _completed(given: Quantities, path: Path, *, is_pair: bool) -> Quantities:
+def _completed(given: Quantities, path: Path, *, is_pair: bool) -> tuple[Quantities, list[Path]]:
     """The quantities with those of the files beside `path` that complete them: extrinsics, intrinsics, other camera."""
     has_cameras = any(quantity in ("K", "fx") for _, quantity in given.values)
     has_extrinsics = any(quantity in (*_EXTRINSIC, "P", "baseline", "bf") for _, quantity in given.values)
     is_single = has_cameras and len(given.sides()) < 2
-    if has_cameras and not has_extrinsics and (not is_single or "intrinsic" in path.stem):
-        return _merged(given, other_half(path, is_intrinsic=True))
-    if has_extrinsics and not has_cameras:
-        other = other_half(path, is_intrinsic=False)
-        merged = _merged(given, other)
-        if other is None or len(merged.sides()) == 2 or (partner := partner_of(other)) is None:
-            return merged
-        return given | _read(other).of_one_side("left") | _read(partner).of_one_side("right")
+    if has_extrinsics != has_cameras and (not is_single or "intrinsic" in path.stem):
+        other = other_half(path, is_intrinsic=has_cameras)
+        merged = given if other is None else given | _read(other)
+        if has_cameras or other is None or len(merged.sides()) == 2 or (partner := partner_of(other)) is None:
+            return merged, [] if other is None else [other]
+        return given | _read(other).of_one_side("left") | _read(partner).of_one_side("right"), [other, partner]
     if is_pair and is_single and not has_extrinsics and (partner := partner_of(path)) is not None:
         first, second = (partner, path) if is_second(path) else (path, partner)
         both = _read(first).of_one_side("left") | _read(second).of_one_side("right")
-        return _merged(both, other_half(path, is_intrinsic=True))
-    return given
+        other = other_half(path, is_intrinsic=True)
+        return (both, [partner]) if other is None else (both | _read(other), [partner, other])
+    return given, []
 
 
 def _read(path: Path) -> Quantities:
     return quantities_of(plain_values(calibration_text(path, EXPECTED), path, EXPECTED), path)
-
-
-def _merged(given: Quantities, path: Path | None) -> Quantities:
-    return given if path is None else given | _read(path)
 
 
 def _rectified_pair(given: Quantities, projections: list[FloatArray], path: Path) -> RigCalibration:
@@ -254,7 +251,7 @@ def _contradictions(given: Quantities, sides: list[Side], motion: FloatArray, pa
     first, second = (sides[0], sides[1]) if len(sides) == 2 else (None, None)
     r: list[FloatArray | None] = [given.values.get((side, "rect")) for side in (first, second)]
     p = given.values.get((second, "P"))
-    if r[0] is not None and r[1] is not None and (None, "T") in given.values:
+    if r[0] is not None and r[1] is not None and p is not None and (None, "T") in given.values:
         r1, r2 = r[0].reshape(3, 3), r[1].reshape(3, 3)
         errors = [
             float(np.abs(r2 @ rotation @ r1.T - np.eye(3)).max()) for rotation in (motion[:3, :3], motion[:3, :3].T)
@@ -277,20 +274,23 @@ def _contradictions(given: Quantities, sides: list[Side], motion: FloatArray, pa
 
 def _unit(kind: Kind, given: Quantities, length: float) -> tuple[float, str]:
     """Metres per unit of the lengths of a file, and the reason, for a length between the cameras in that unit."""
-    named = given.names.get((None, "baseline"), "").lower()
     stated = str(given.of(None, "unit") or "").lower().rstrip("s").replace("metre", "meter")
-    square = given.of(None, "square")
+    square, baseline = given.of(None, "square"), given.of(None, "baseline")
     if kind.metres_per_unit is not None:
         return kind.metres_per_unit, f"in {UNIT_NAMES[kind.metres_per_unit]} as in all such files"
     if stated in _UNITS:
         return _UNITS[stated], f"in {UNIT_NAMES[_UNITS[stated]]} as the file states"
-    if named.endswith(("_mm", "_cm", "_m")):
-        unit = _UNITS[named.rpartition("_")[2]]
-        return unit, f"in {UNIT_NAMES[unit]} by its name"
+    for quantity in ("T", "baseline"):
+        unit = _UNITS.get(given.names.get((None, quantity), "").lower().rpartition("_")[2], 0.0)
+        length_m = unit * (length if quantity == "T" or baseline is None else abs(float(baseline[0])))
+        units = [u for u in (unit, 1.0, 0.01, 0.001) if u and length_m and abs(length * u / length_m - 1) < _TOLERANCE]
+        if units:
+            return units[0], f"in {UNIT_NAMES[units[0]]} by the name of {quantity}"
     if kind.name == "matlab":
         return 0.001, "assuming millimetres, MATLAB's default"
     if length <= _VEHICLE:
-        return 1.0, "assuming that the square size was given in metres"
+        wide = "; that is wide: if T counts squares of the board, multiply it by their side" if length > _WIDE_M else ""
+        return 1.0, f"assuming that the square size was given in metres{wide}"
     if length <= _CENTIMETRES:
         return 1.0, _DOUBT
     unit = 0.001 if length >= _MILLIMETRES or (square is not None and float(square[0]) > _CENTIMETRES) else 0.01
@@ -373,7 +373,10 @@ def _is_fisheye(given: Quantities, sides: list[Side], path: Path, notes: list[st
     if (flag := given.of(None, "fisheye")) is not None:
         return bool(flag.any())
     model = str(given.of(sides[0], "model") or "").lower()
-    if any(word in model for word in ("kannala", "fisheye", "equidistant")):
+    has_k4 = (
+        given.of(sides[0], "k4") is not None and given.of(sides[0], "p1") is None and given.of(sides[0], "k5") is None
+    )
+    if has_k4 or model == "kb" or any(word in model for word in ("kannala", "fisheye", "equidistant")):
         return True
     names = [given.names.get((side, "K"), "") for side in sides]
     distortion, k = _distortion(given, sides[0]), given.of(sides[0], "K")

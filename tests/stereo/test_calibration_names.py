@@ -309,3 +309,46 @@ def test_pickles_and_other_files_are_not_opened(tmp_path):
     (tmp_path / "e.npz").write_bytes(b"PK\x03\x04" + bytes(100))
     with pytest.raises(RigError, match="NumPy"):
         load_calibration(tmp_path / "e.npz")
+
+
+def test_unit_in_a_name(tmp_path):
+    names = "left_camera_matrix left_distortion right_camera_matrix right_distortion R_left_to_right T_left_to_right_mm"
+    (tmp_path / "a.json").write_text(json.dumps(plain(values(names, 400 * T))))
+    assert load_calibration(tmp_path / "a.json")[0].baseline_m == pytest.approx(0.4 * BASELINE_M)  # 37 mm, not 37 cm
+    content = plain(values(NAMES[0])) | {"baseline_mm": 1000 * BASELINE_M}
+    (tmp_path / "a.json").write_text(json.dumps(content))
+    check(load_calibration(tmp_path / "a.json"))
+    content = plain(values(NAMES[0], 200 * T)) | {"baseline_mm": 200 * BASELINE_M}
+    (tmp_path / "a.json").write_text(json.dumps(content))
+    assert load_calibration(tmp_path / "a.json")[0].baseline_m == pytest.approx(0.2 * BASELINE_M)
+
+
+def test_poses_by_flat_names_are_no_rectification(tmp_path):
+    content = values("camera_matrix_left dist_coeffs_left camera_matrix_right dist_coeffs_right R T")
+    content |= {"rot_matrix_left": np.eye(3), "t_left": np.zeros(3), "rot_matrix_right": R, "t_right": T.ravel()}
+    (tmp_path / "a.json").write_text(json.dumps(plain(content)))
+    assert len(check(load_calibration(tmp_path / "a.json"))) == 1
+
+
+def test_list_of_cameras(tmp_path):
+    def camera(number: int, k: np.ndarray, r: np.ndarray, t: np.ndarray) -> dict[str, Any]:
+        return {
+            "id": f"cam_{number}",
+            "distortion_model": "KB",
+            "image_width": 640,
+            "image_height": 480,
+            "intrinsics": {"fx": k[0, 0], "fy": k[1, 1], "cx": k[0, 2], "cy": k[1, 2]},
+            "distortion": {"k1": 0.01, "k2": 0.002, "k3": 0.0, "k4": 0.0},
+            "extrinsics": {"rotation": r.tolist(), "translation": t.ravel().tolist()},
+        }
+
+    cameras = [camera(0, K1, np.eye(3), np.zeros(3)), camera(1, K2, R, 1000 * T)]
+    (tmp_path / "a.json").write_text(json.dumps({"cameras": cameras}))
+    rig, _ = load_calibration(tmp_path / "a.json")
+    assert (rig.left.lens, rig.left.fx_px, rig.right.fx_px) == ("kannala-brandt", 543.75, 556.0)
+    assert rig.right_from_left[:3, 3] == pytest.approx(T.ravel())
+
+
+def test_wide_baselines_are_noted(tmp_path):
+    notes = load_calibration(storage(tmp_path / "a.yml", values(NAMES[0], T * 20)))[1]
+    assert any("squares of the board" in note for note in notes)

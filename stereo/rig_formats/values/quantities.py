@@ -46,11 +46,11 @@ _NAMES: dict[str, str] = {
     "radial": "radialdistortion",
     "tangential": "tangentialdistortion",
     "R": "r rot rotation rotationmatrix rotmat rotmatrix rmat rmatrix rvec rotationvector om stereor stereorotation"
-    " relativerotation rotationbetweencameras",
+    " relativerotation rotationbetweencameras rlefttoright",
     "T": "t trans transl translation translationvector translationmatrix transvec tvec tvector tmat stereot trns"
-    " stereotranslation relativetranslation translationofcamera2",
+    " stereotranslation relativetranslation tlefttoright translationofcamera2",
     "R_transposed": "rotationofcamera2",
-    "rect": "rect rrect recttrans recttransform rectification rectificationmatrix rectificationrotation rectrotation"
+    "rect": "rect rrect recttrans recttransform rectify rectification rectificationmatrix rectrotation"
     " rectifiedrotation",
     "P": "p proj projection projectionmatrix projmat projmats projmatrix prect",
     "Q": "q disparitytodepth disptodepth disptodepthmatrix disptodepthmat reprojection reprojectionmatrix",
@@ -196,6 +196,7 @@ def _named(path: tuple[str, ...], value: Any) -> tuple[Side, str | None]:
         return _side_of(re.fullmatch(f"({_SIDES})", name)), _QUANTITY[words[-2]]
     if name in _SCALARS and n_values == 1:
         return side, name
+    name = re.sub(r"(?<=.{4})(?:mm|cm)$", "", name) if name not in _QUANTITY else name
     if quantity := _QUANTITY.get(name):
         return (None if name in ("rotationofcamera2", "translationofcamera2") else side), quantity
     for affix, word in _AFFIXES.items():
