@@ -151,9 +151,11 @@ def _from_drives(
         raise UsageError("expected a drive or a reference: give --stereo LEFT RIGHT, --drive DIR or --reference FILE.")
     with ExitStack() as opened:
         recordings, rigs = [], []
-        prior, notes = _prior(*sources[0], settings.rig)
+        prior, notes = _prior(*sources[0], settings)
         for left, right in sources:
-            recording, rig = open_pair(left, right, settings.rig, align=prior, has_checks=True)
+            recording, rig = open_pair(
+                left, right, settings.rig, align=prior, has_checks=True, stereo_layout=settings.stereo_layout
+            )
             opened.callback(recording.close)
             recordings.append(recording)
             rigs.append(rig)
@@ -183,9 +185,12 @@ def _from_drives(
     return replace(aligned, baseline=check_baseline(sources[0], settings))
 
 
-def _prior(left: Path, right: Path, rig: Path | None) -> tuple[Alignment, tuple[str, ...]]:
+def _prior(
+    left: Path, right: Path, settings: AlignmentSettings | RigCheckSettings
+) -> tuple[Alignment, tuple[str, ...]]:
     """The correction with which the estimate starts, from the first images, and a note on how they fit the rig."""
-    with closing(open_recording(left, right, rig=rig, align="off")) as recording:
+    layout = settings.stereo_layout
+    with closing(open_recording(left, right, rig=settings.rig, align="off", stereo_layout=layout)) as recording:
         finding = recording.finding
     if finding is None:
         return NOT_MEASURED, ()
@@ -194,7 +199,7 @@ def _prior(left: Path, right: Path, rig: Path | None) -> tuple[Alignment, tuple[
 
 def _from_reference(reference: Path, settings: AlignmentSettings, progress: StepProgress) -> RigAlignment:
     rows_px, rigs = list[float](), list[StereoRig]()
-    pairs = reference_pairs(reference, stereo=settings.stereo, rig=settings.rig)
+    pairs = reference_pairs(reference, stereo=settings.stereo, rig=settings.rig, stereo_layout=settings.stereo_layout)
     with progress("pairs") as advance:
         measured = measure_pairs(_with_row_offsets(pairs, rows_px, rigs, advance), (_MATCHER,))
     objects, column = measured.objects, measured.columns[_MATCHER]

@@ -17,17 +17,26 @@ from itertools import chain
 from pathlib import Path
 from typing import ClassVar
 
+import numpy as np
+
 from track_range.detection.formats.image_labels.labelled_images import ImageFileError, images_in, read_image
 from track_range.foundation.arrays import Image
 from track_range.foundation.files.images import IMAGE_SUFFIXES
 from track_range.recording.frame import TIME_EPSILON_S
+from track_range.recording.names import LayoutOption, StereoLayout, VideoTrack
 from track_range.recording.open_video import open_video
+from track_range.recording.pairs.packed_pair import PackedPair
 from track_range.recording.pairs.recorded_pair import RecordedPair
+from track_range.recording.pairs.stereo_layout import find_layout, matching_halves, stereo_tracks
+from track_range.recording.pairs.video_half import image_half
 from track_range.recording.segments.segment_times import natural_key
 from track_range.stereo.calibration.board_views import RejectedView
 
 _MAX_VIDEO_SHOTS = 300  # largest number of frames of a video that are searched for boards
 _SHORTEST_STEP_S = 0.2  # minimum time between these frames, s; a hand-held board hardly moves in a shorter time
+
+_N_COMPARED = 5  # number of images whose halves are compared, until two match
+_MIN_ASPECT = 2.4  # width / height of images that can only be two beside each other
 
 _WILDCARD = re.compile(r"[*?\[]")
 
@@ -48,6 +57,7 @@ class ImageFiles:
 
     paths: tuple[tuple[Path, ...], ...]  # one tuple of paths per shot, with one path per camera
     unpaired: tuple[RejectedView, ...] = ()  # images without a counterpart from the other camera
+    layout: StereoLayout | None = None  # of the images of two cameras in each file; None = one camera per file
     is_video: ClassVar[bool] = False
 
     @property
@@ -65,7 +75,10 @@ class ImageFiles:
         for paths in self.paths:
             is_ambiguous = len({path.name for path in paths}) < len(paths)
             names = tuple(_name(path, with_folder=is_ambiguous) for path in paths)
-            yield Shot(names, tuple(_readable(path) for path in paths))
+            images = tuple(_readable(path) for path in paths)
+            if self.layout is not None:
+                names, images = names * 2, _halves(images[0], self.layout)
+            yield Shot(names, images)
 
 
 class VideoShots:
@@ -74,10 +87,19 @@ class VideoShots:
     is_video: ClassVar[bool] = True  # many frames of a video may not show the board
     unpaired: tuple[RejectedView, ...] = ()
 
-    def __init__(self, paths: Sequence[Path]) -> None:
+    def __init__(self, paths: Sequence[Path], layout: LayoutOption = "auto") -> None:
         self.files = tuple(paths)
-        self._readers = [open_video(path) for path in paths]
-        first = self._readers[0]
+        self._pair: PackedPair | RecordedPair | None = None
+        first = open_video(paths[0])
+        self._first = first
+        if len(paths) > 1:
+            chosen = find_layout(first, layout).layout if paths[0] == paths[1] else None
+            if chosen == "tracks":
+                left, right = (open_video(VideoTrack(paths[0], number)) for number in stereo_tracks(first)[:2])
+                self._pair = RecordedPair(left, right)
+            else:
+                packed = None if chosen is None else PackedPair(first, paths[0], chosen)
+                self._pair = packed or RecordedPair(first, open_video(paths[1]))
         length_s = (first.n_frames or 0) / first.fps
         self._step_s = max(_SHORTEST_STEP_S, length_s / _MAX_VIDEO_SHOTS)
         self.n_shots: int | None = int(length_s / self._step_s) + 1 if first.n_frames else None  # estimate
@@ -91,32 +113,62 @@ class VideoShots:
                 yield Shot(tuple(f"{path.name} at {time_s:.2f} s" for path in self.files), images)
 
     def _frames(self) -> Iterator[tuple[float, tuple[Image, ...]]]:
-        if len(self._readers) == 1:
-            for frame in self._readers[0]:
+        if self._pair is None:
+            for frame in self._first:
                 yield frame.time_s, (frame.image,)
             return
-        for left, right in RecordedPair(self._readers[0], self._readers[1]):
+        for left, right in self._pair:
             yield left.time_s, (left.image, right.image)
 
 
 BoardImages = ImageFiles | VideoShots  # source of shots, which can be iterated more than once
 
 
-def board_images(sources: Sequence[str]) -> BoardImages:
-    """The images of one camera, from one source, or of two cameras, from one source each.
+def board_images(sources: Sequence[str], layout: LayoutOption = "auto") -> BoardImages:
+    """The images of one camera, from one source, or of two cameras, from one source each, or equal ones with `layout`.
 
     Raises ImageFileError for a pattern or folder without images, sources of different kinds, or images that cannot be
     paired, and VideoError if a video cannot be read.
     """
     are_videos = [_is_video(source) for source in sources]
     if all(are_videos):
-        return VideoShots([Path(source) for source in sources])
+        return VideoShots([Path(source) for source in sources], layout)
     if any(are_videos):
         raise ImageFileError(f"{sources[0]} and {sources[1]}: expected two videos, or two sets of images.")
     files = [_files(source) for source in sources]
     if len(files) == 1:
         return ImageFiles(tuple((path,) for path in files[0]))
+    if sources[0] == sources[1]:
+        return ImageFiles(tuple((path,) for path in files[0]), layout=_layout(sources[0], files[0], layout))
     return _paired(sources, files)
+
+
+def _layout(source: str, files: Sequence[Path], layout: LayoutOption) -> StereoLayout:
+    """The layout of images of two cameras in each; wide ones are beside each other, as few points of boards match."""
+    if layout != "auto" and layout != "tracks":
+        return layout
+    images = [image for path in files[:_N_COMPARED] if (image := _readable(path)) is not None]
+    matched = (matching_halves([image]) for image in images if layout == "auto")
+    chosen = next((one for one in matched if one is not None), None)
+    if chosen is not None:
+        return chosen.layout
+    if images and layout == "auto" and images[0].shape[1] >= _MIN_ASPECT * images[0].shape[0]:
+        return "side-by-side"
+    raise ImageFileError(
+        f"{source}: expected the images of two cameras in each, found no two halves that match; give the images of "
+        "the right camera as well, or --stereo-layout side-by-side, right-left, top-bottom or bottom-top (Python: "
+        "stereo_layout)."
+    )
+
+
+def _halves(image: Image | None, layout: StereoLayout) -> tuple[Image | None, ...]:
+    """The images of the left and the right camera in one."""
+    if image is None:
+        return None, None
+    size_px = image.shape[1], image.shape[0]
+    return tuple(
+        np.ascontiguousarray(image[image_half(layout, size_px, is_right=is_right)]) for is_right in (False, True)
+    )
 
 
 def _is_video(source: str) -> bool:

@@ -79,7 +79,7 @@ def calibrate(settings: CalibrationSettings, progress: StepProgress = no_progres
 
 def find_boards(settings: CalibrationSettings, progress: StepProgress = no_progress) -> BoardSearch:
     """Search the images for the board; the first part of `calibrate`."""
-    images = board_images(_sources(settings))
+    images = board_images(_sources(settings), settings.stereo_layout)
     outputs = (settings.out, picture_file(settings), settings.json_file)
     board = _board(settings)
     check_outputs([file for file in outputs if file is not None], images.files)

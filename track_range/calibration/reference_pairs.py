@@ -30,6 +30,7 @@ from track_range.foundation.errors import UsageError
 from track_range.foundation.files.csv_tables import CsvTable, read_csv_table
 from track_range.ranging.evaluation.errors import BANDS_M
 from track_range.ranging.evaluation.truth import Truth, read_truth
+from track_range.recording.names import LayoutOption
 from track_range.recording.recording import Recording, open_recording
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.alignment.pair_finding import WITHOUT_STEREO
@@ -104,14 +105,20 @@ def read_drive(folder: Path, *, rig: Path | None = None, row_offset_px: float = 
 
 
 def open_pair(
-    left: Path, right: Path, rig: Path | None, *, align: str | Alignment = "off", has_checks: bool = False
+    left: Path,
+    right: Path,
+    rig: Path | None,
+    *,
+    align: str | Alignment = "off",
+    has_checks: bool = False,
+    stereo_layout: LayoutOption = "auto",
 ) -> tuple[Recording, StereoRig]:
     """Open a calibrated pair; returns the recording and its rectified rig.
 
     `rig` is a rig file, None = the one next to the left video; for the others see `open_recording`. Raises VideoError
     if a video cannot be used, and RigError without a usable rig, or, with checks, if left and right are swapped.
     """
-    recording = open_recording(left, right, rig=rig, align=align, has_checks=has_checks)
+    recording = open_recording(left, right, rig=rig, align=align, has_checks=has_checks, stereo_layout=stereo_layout)
     if recording.rig is None:
         finding = recording.finding
         recording.close()
@@ -121,12 +128,14 @@ def open_pair(
     return recording, recording.rig
 
 
-def reference_pairs(reference: Path, *, stereo: tuple[Path, Path] | None, rig: Path | None) -> Iterator[StereoPair]:
+def reference_pairs(
+    reference: Path, *, stereo: tuple[Path, Path] | None, rig: Path | None, stereo_layout: LayoutOption = "auto"
+) -> Iterator[StereoPair]:
     """The pairs with their known objects, read one by one.
 
-    `reference` is a file or folder of one of the kinds above, `stereo` the left and right video for a file, `rig` a rig
-    file, None = the one next to the images. Raises UsageError for a file without videos, or a folder with videos, and
-    PairFileError, LabelFileError, VideoError or RigError if an input cannot be used.
+    `reference` is a file or folder of one of the kinds above, `stereo` the left and right video for a file, equal ones
+    for one of both cameras, `rig` a rig file, None = the one next to the images. Raises UsageError for a file without
+    videos, or a folder with videos, and PairFileError, LabelFileError, VideoError or RigError for an unusable input.
     """
     if not reference.exists():
         raise LabelFileError(f"{reference}: no such file or folder; check the name.")
@@ -137,7 +146,7 @@ def reference_pairs(reference: Path, *, stereo: tuple[Path, Path] | None, rig: P
         return read_drive(reference, rig=rig) if is_labelled_drive else read_pairs(reference, rig=rig)
     if stereo is None:
         raise UsageError("--reference FILE needs the videos of its objects; give them with --stereo LEFT RIGHT.")
-    return _video_pairs(reference, *open_pair(*stereo, rig))
+    return _video_pairs(reference, *open_pair(*stereo, rig, stereo_layout=stereo_layout))
 
 
 def _video_pairs(reference: Path, recording: Recording, rectified: StereoRig) -> Iterator[StereoPair]:

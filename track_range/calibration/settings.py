@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from track_range.foundation.options import Options, option
+from track_range.recording.names import LayoutOption
 
 _ROAD = "Without a board"  # heading of the options of the calibration from a drive
 _BASELINE = "Check of the baseline"
@@ -16,7 +17,17 @@ OFF, LEAVE_TWO_OUT = "off", "leave-two-out"  # values of --align that name no fi
 _Stereo = Annotated[
     tuple[Path, Path] | None,
     option(
-        "Left and right video of a drive past static objects (buildings, parked cars, trees).", metavar="LEFT RIGHT"
+        "Left and right video of a drive past static objects (buildings, parked cars, trees), or one video with the "
+        "images of both cameras.",
+        metavar="LEFT RIGHT|BOTH",
+    ),
+]
+
+_StereoLayout = Annotated[
+    LayoutOption,
+    option(
+        "Where the images of both cameras are in one video: beside or below each other, the left camera's first or "
+        "second, or in two video tracks; by default as the file, its name or the images show."
     ),
 ]
 
@@ -72,9 +83,12 @@ class CalibrationSettings(Options):
     stereo: Annotated[
         tuple[str, str] | None,
         option(
-            "Images of the left and the right camera: patterns in quotes, folders, or videos.", metavar="LEFT RIGHT"
+            "Images of the left and the right camera: patterns in quotes, folders, or videos; or one of these with the "
+            "images of both cameras.",
+            metavar="LEFT RIGHT|BOTH",
         ),
     ] = None
+    stereo_layout: _StereoLayout = "auto"
     board: Annotated[
         str | None,
         option(
@@ -155,6 +169,7 @@ class AlignmentSettings(BaselineOptions):
     """Drives or references, and output files, of `track-range align`."""
 
     stereo: _Stereo = None
+    stereo_layout: _StereoLayout = "auto"
     drives: _Drives = ()
     reference: Annotated[
         Path | None,
@@ -174,6 +189,7 @@ class RigCheckSettings(BaselineOptions):
     """Drives of `track-range rig check`."""
 
     stereo: _Stereo = None
+    stereo_layout: _StereoLayout = "auto"
     drives: _Drives = ()
     rig: _Rig = None
     json_file: Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")] = None

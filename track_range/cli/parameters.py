@@ -19,13 +19,44 @@ _O = TypeVar("_O", bound=Options)
 _PLACEHOLDERS = {bool: "", int: "N", float: "NUMBER", Path: "FILE"}  # in the help, by type; "" for a switch
 
 
+class PairCommand(HelpCommand):
+    """Command with the option --stereo, which takes one or two values: one is the recording of both cameras."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the command line with --stereo as its parameter takes it; see `_split_pairs`."""
+        stereo = next(parameter for parameter in self.params if parameter.name == "stereo")
+        return super().parse_args(ctx, _split_pairs(args, is_single=stereo.nargs == 1))
+
+
+def _split_pairs(args: list[str], *, is_single: bool) -> list[str]:
+    """Arguments with `--stereo LEFT RIGHT` as two options if `is_single`, RIGHT "" if missing, else LEFT for RIGHT."""
+    split, rest = list[str](), list(args)
+    while rest:
+        name, equals, value = rest.pop(0).partition("=")
+        if name == "--":
+            return [*split, name, *rest]
+        if name != "--stereo":
+            split.append(f"{name}{equals}{value}")
+            continue
+        values = [value] if equals else []
+        while rest and len(values) < 2 and not rest[0].startswith("-"):
+            values.append(rest.pop(0))
+        if not values:
+            split.append(name)  # the parser reports that a value is missing
+        elif is_single:
+            split += [f"{name}={part}" for part in (*values, "")[:2]]
+        else:
+            split += [name, values[0], values[-1]]
+    return split
+
+
 def command(model: type[_O], function: Callable[[_O], object]) -> typer.Typer:
     """Application of one command with the fields of `model` as parameters; it calls `function` with the options."""
 
     def callback(**values: Any) -> None:
         function(model.of(given_values(model, values)))
 
-    return command_of(callback, parameters(model))
+    return command_of(callback, parameters(model), PairCommand if "stereo" in model.model_fields else HelpCommand)
 
 
 def command_of(

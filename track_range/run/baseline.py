@@ -20,6 +20,8 @@ def check_baseline(
     """Check the baseline in the first part of a drive; errors are those of a run."""
     given = {name: getattr(settings, name) for name in ("rig", "detector", "detections", "ego_speed")}
     given = {name: str(value) for name, value in given.items() if value is not None}
+    if videos[0] == videos[1]:
+        given["stereo_layout"] = settings.stereo_layout
     run = Run(
         settings_from({"stereo": tuple(map(str, videos)), "sgbm": False, "duration_s": _MAX_S, **given}),
         progress=console,

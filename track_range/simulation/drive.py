@@ -1,6 +1,6 @@
 """Writing of a simulated drive: videos of both cameras, rig, ground truth, ego speed and simulated detections.
 
-left.mp4, right.mp4     H.264, near lossless; or lossless PNGs in the folders left/ and right/
+left.mp4, right.mp4     H.264, near lossless; or lossless PNGs in the folders left/ and right/; or both.mp4 or both/
 rig.yaml                the cameras
 truth.txt, truth.csv, contacts.csv, ego_speed.csv   ground truth and speed (`camera/tables.py`)
 detections.txt          simulated detections in KITTI's format (`camera/playback.py`)
@@ -31,8 +31,8 @@ from track_range.foundation.arrays import Image
 from track_range.foundation.files.output_files import make_folder, write_text
 from track_range.simulation.camera.drive_files import (
     disparity_map,
-    image_writer,
     object_map,
+    pair_writer,
     with_even_size,
     write_masks,
     write_png,
@@ -66,12 +66,12 @@ class Drive:
     contacts: Path
 
     @classmethod
-    def in_folder(cls, folder: Path, *, is_lossless: bool = False) -> Drive:
-        """The paths of the files in a folder."""
+    def in_folder(cls, folder: Path, *, is_lossless: bool = False, is_packed: bool = False) -> Drive:
+        """The paths of the files in a folder; `is_packed`: left and right are one video of both cameras."""
         suffix = "" if is_lossless else ".mp4"
         return cls(
-            left=folder / f"left{suffix}",
-            right=folder / f"right{suffix}",
+            left=folder / f"{'both' if is_packed else 'left'}{suffix}",
+            right=folder / f"{'both' if is_packed else 'right'}{suffix}",
             rig=folder / "rig.yaml",
             truth=folder / "truth.txt",
             detections=folder / "detections.txt",
@@ -117,22 +117,21 @@ def write_drive(
     camera = pinholes.left
     renderer = Renderer(scene, pinholes, noise_grey=options.noise_grey, faults=options, wide_lens=wide_lens)
     make_folder(folder)
-    drive = Drive.in_folder(folder, is_lossless=options.lossless)
+    drive = Drive.in_folder(folder, is_lossless=options.lossless, is_packed=options.stereo_layout is not None)
     save_rig(rig_in_file(rig, options), drive.rig)
     times_s: list[float] = (np.arange(n_frames) / fps).tolist()
     left_times_s: list[float] = []
     labels: list[KittiLabels] = []
     rows: list[str] = []
     with (
-        closing(image_writer(drive.left, rig.left, fps)) as left,
-        closing(image_writer(drive.right, rig.left, fps)) as right,
+        closing(pair_writer(drive.left, drive.right, rig.left, fps, options.stereo_layout)) as writer,
         ThreadPoolExecutor(N_THREADS) as pool,
     ):
         for number, left_image, right_image in _rendering(pool, renderer, times_s, options):
             time_s = times_s[number]
             if left_image is not None:
                 image, inverse_depth, *part_labels = left_image.result()
-                left.write(image, time_s)
+                writer.write_left(image, time_s)
                 visible = visible_objects(scene, time_s, frame=len(rows), camera=camera, inverse_depth=inverse_depth)
                 left_times_s.append(time_s)
                 labels.append(visible.labels)
@@ -146,7 +145,7 @@ def write_drive(
                     _write_kitti_2015(folder / "obj_map", number, objects)
             if right_image is not None:
                 image = right_image.result()
-                right.write(image, time_s)  # the timestamp ignores a delay of the right camera
+                writer.write_right(image, time_s)  # the timestamp ignores a delay of the right camera
                 if options.disparity:
                     _write_kitti_2015(folder / "image_3", number, image)
             if progress is not None:

@@ -76,6 +76,13 @@ class _Recording(Options):
     lossless: Annotated[
         bool, option("Folders of PNG images, left/ and right/, instead of H.264 videos.", panel=_OUTPUT)
     ] = False
+    stereo_layout: Annotated[
+        Literal["side-by-side", "right-left", "top-bottom", "bottom-top"] | None,
+        option(
+            "One video with the images of both cameras, both.mp4, instead of left.mp4 and right.mp4: where they are.",
+            panel=_OUTPUT,
+        ),
+    ] = None
     disparity: Annotated[
         bool,
         option(

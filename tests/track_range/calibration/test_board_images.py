@@ -114,3 +114,37 @@ def test_unusable_sources(folder, film):
         with pytest.raises(error, match=word) as raised:
             board_images(sources)
         assert str(raised.value).startswith(sources[0])
+
+
+def halves(seed=0, size_px=(96, 40)):
+    """Two images of noise of one size."""
+    generator = np.random.default_rng(seed)
+    return [generator.integers(0, 255, (size_px[1], size_px[0], 3), np.uint8) for _ in range(2)]
+
+
+@pytest.mark.parametrize(
+    ("given", "stack", "order"),
+    [("auto", np.hstack, (0, 1)), ("right-left", np.hstack, (1, 0)), ("top-bottom", np.vstack, (0, 1))],
+)
+def test_images_of_both_cameras_in_each_file(folder, given, stack, order):
+    images = halves()
+    cv2.imwrite("b1.png", stack(images))
+    (shot,) = board_images(["b*.png", "b*.png"], given)
+    assert shot.names == ("b1.png", "b1.png")
+    for found, number in zip(shot.images, order, strict=True):
+        assert (found == images[number]).all()
+
+
+def test_images_of_unknown_layout(folder):
+    cv2.imwrite("b1.png", np.vstack(halves()))
+    with pytest.raises(ImageFileError, match=r"b\*\.png: .*--stereo-layout"):
+        board_images(["b*.png", "b*.png"])
+
+
+def test_video_of_both_cameras(folder, film):
+    left, right = (np.full((48, 64, 3), level, np.uint8) for level in (60, 180))
+    film(folder / "both.mp4", [0, 0.5], images=[np.hstack((left, right))] * 2)
+    images = board_images(["both.mp4", "both.mp4"], "side-by-side")
+    shots = list(images)
+    assert [shot.names for shot in shots] == [("both.mp4 at 0.00 s",) * 2, ("both.mp4 at 0.50 s",) * 2]
+    assert [round(float(image.mean()), -1) for image in shots[1].images] == [60, 180]

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import typer
 
+from track_range.cli.commands.align import check_app
 from track_range.recording.recording import open_recording
+from track_range.simulation.drive import write_drive
+from track_range.simulation.settings import DriveOptions
 from track_range.stereo.alignment.from_drive import DriveAlignment
+from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.rig_formats.reading import load_rig
 from track_range.stereo.rig_formats.rig_yaml import save_rig
@@ -90,3 +96,29 @@ def test_a_reference_has_no_speed(cli, drive, tmp_path):
     status, _, errors = cli("align", *options)
     assert status == 2
     assert "--ego-speed" in errors
+
+
+def test_one_recording_is_both_videos():
+    app = typer.main.get_command(check_app)
+    for given in (["--stereo", "a.mp4"], ["--stereo=a.mp4"], ["--stereo", "a.mp4", "a.mp4"]):
+        context = app.make_context("check", [*given, "--stereo-layout", "top-bottom"])
+        assert context.params["stereo"] == (Path("a.mp4"), Path("a.mp4"))
+        assert context.params["stereo_layout"] == "top-bottom"
+    assert app.make_context("check", ["--stereo", "a", "b"]).params["stereo"] == (Path("a"), Path("b"))
+
+
+@pytest.mark.slow
+def test_one_recording_measures_as_two(tmp_path, cli):
+    figures = {}
+    for name, options in {"two": (), "one": ("--stereo-layout", "right-left")}.items():
+        folder = tmp_path / name
+        rig = StereoRig.rectified(PinholeCamera(400.0, 400.0, 309.5, 93.5, *SIZE_PX), 0.54)
+        layout = options[1] if options else None
+        drive = write_drive(folder, seconds=1.3, rig=rig, options=DriveOptions(lossless=True, stereo_layout=layout))
+        names = [drive.left] if options else [drive.left, drive.right]
+        status, _, errors = cli("rig", "check", "--stereo", *names, *options, "--json", folder / "check.json")
+        assert status == 0, errors
+        figures[name] = json.loads((folder / "check.json").read_text())["measured"]
+    for given in figures.values():
+        given.pop("source")
+    assert figures["one"] == figures["two"]

@@ -119,6 +119,19 @@ def test_ego_speed_round_trip(drive):
 
 
 @pytest.mark.slow
+def test_both_cameras_in_one_recording(tmp_path):
+    options = {layout: DriveOptions(lossless=True, stereo_layout=layout) for layout in (None, "bottom-top")}
+    two, one = (
+        write_drive(tmp_path / str(layout), seed=3, seconds=0.2, rig=SMALL, options=given)
+        for layout, given in options.items()
+    )
+    assert one.left == one.right == tmp_path / "bottom-top" / "both"
+    for number in range(2):
+        left, right, both = (cv2.imread(str(path / f"{number:06}.png")) for path in (two.left, two.right, one.left))
+        assert (both == np.vstack((right, left))).all()
+    assert one.table.read_text() == two.table.read_text()
+
+
 def test_lossless_folders_contain_the_exact_pixels(tmp_path):
     (tmp_path / "left").mkdir()
     (tmp_path / "left" / "000007.png").write_bytes(b"of an earlier, longer drive")

@@ -7,8 +7,7 @@ from contextlib import closing, contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from track_range.cli.lazy import HelpCommand
-from track_range.cli.parameters import command_of, given_values, parameters
+from track_range.cli.parameters import PairCommand, command_of, given_values, parameters
 from track_range.foundation.errors import UsageError
 from track_range.foundation.options import Options, option
 from track_range.foundation.processes import tuned_process
@@ -142,34 +141,6 @@ def _ignore_broken_pipe() -> Iterator[None]:
         yield
 
 
-class RunCommand(HelpCommand):
-    """Command with the option --stereo, which takes one or two videos, and may be repeated."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the command line with one value for each `--stereo`; see `_split_pairs`."""
-        return super().parse_args(ctx, _split_pairs(args))
-
-
-def _split_pairs(args: list[str]) -> list[str]:
-    """Arguments with `--stereo=LEFT --stereo=RIGHT` for `--stereo LEFT RIGHT`; RIGHT is empty if it is missing."""
-    split, rest = list[str](), list(args)
-    while rest:
-        name, equals, value = rest.pop(0).partition("=")
-        if name == "--":
-            return [*split, name, *rest]
-        if name != "--stereo":
-            split.append(f"{name}{equals}{value}")
-            continue
-        values = [value] if equals else []
-        while rest and len(values) < 2 and not rest[0].startswith("-"):
-            values.append(rest.pop(0))
-        if not values:
-            split.append(name)  # the parser reports that a value is missing
-            continue
-        split += [f"{name}={part}" for part in (*values, "")[:2]]
-    return split
-
-
 def _with_sources(given: dict[str, Any]) -> dict[str, Any]:
     """Options with the values of repeated `--mono` and `--stereo` as one recording."""
     sources = dict(given)
@@ -184,4 +155,4 @@ def _with_sources(given: dict[str, Any]) -> dict[str, Any]:
     return sources
 
 
-app = command_of(_run, [*parameters(RunSettings, is_only_given=True), *parameters(RunView)], RunCommand)
+app = command_of(_run, [*parameters(RunSettings, is_only_given=True), *parameters(RunView)], PairCommand)

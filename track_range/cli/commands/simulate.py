@@ -24,7 +24,10 @@ def _simulate(settings: SimulationSettings) -> None:
         return
     fps = settings.fps or DEFAULT_FPS
     rate = f" --folder-fps {fps:g}" if drive.left.suffix != ".mp4" and fps != DEFAULT_FPS else ""
-    command = f"track-range --stereo {drive.left} {drive.right} --rig {drive.rig} --truth {drive.table}{rate}"
+    pair = f"{drive.left} {drive.right}"
+    if settings.stereo_layout is not None:
+        pair = f"{drive.left} --stereo-layout {settings.stereo_layout}"
+    command = f"track-range --stereo {pair} --rig {drive.rig} --truth {drive.table}{rate}"
     print_line(console, f"Written: {settings.out}. To process it:", f"  {command}")
 
 
