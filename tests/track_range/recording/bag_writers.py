@@ -31,7 +31,13 @@ def cameras(names: Sequence[str]) -> list[tuple[str, float]]:
 
 
 def ros_messages(
-    store: Any, names: Sequence[str], images: Sequence[np.ndarray], *, topic: str, encoding: str = ""
+    store: Any,
+    names: Sequence[str],
+    images: Sequence[np.ndarray],
+    *,
+    topic: str,
+    encoding: str = "",
+    info: str = "camera_info",
 ) -> list[tuple[int, str, str, Any]]:
     """(time, topic, type, message) of images and calibrations; raw images if `encoding` is given."""
     types, ros1 = (
@@ -54,10 +60,10 @@ def ros_messages(
             recorded_ns = stamp_ns + 20_000_000
             messages.append((recorded_ns, f"{name}/{topic}", kind, message))
             roi = types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
-            info = types["sensor_msgs/msg/CameraInfo"](
+            calibration = types["sensor_msgs/msg/CameraInfo"](
                 header, 48, 64, "plumb_bob", *(np.array(v) for v in ([0.0] * 5, K, R, projection(offset_m))), 0, 0, roi
             )  # fmt: skip
-            messages.append((recorded_ns, f"{name}/camera_info", "sensor_msgs/msg/CameraInfo", info))
+            messages.append((recorded_ns, f"{name}/{info}", "sensor_msgs/msg/CameraInfo", calibration))
         text = types["std_msgs/msg/String"]("nothing")
         messages.append((stamp_ns, "/chatter", "std_msgs/msg/String", text))
     return messages

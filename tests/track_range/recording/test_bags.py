@@ -377,3 +377,30 @@ def test_settings_of_a_bag(tmp_path: Path, images: list[np.ndarray]) -> None:
             settings_from({**given, "focal_px": 700.0})
     with pytest.raises(VideoError, match="topics"):
         open_recording(tmp_path / "settings.yaml", topics=["/left/image"], focal_px=70.0)
+
+
+def test_calibration_of_a_realsense_recorder(tmp_path: Path, images: list[np.ndarray]) -> None:
+    name = "/device_0/sensor_0/Infrared_1"
+    options = {"topic": "image/data", "info": "info/camera_info", "encoding": "bgr8"}
+    bag = write_ros1(tmp_path / "drive.bag", [name], images[:2], **options)
+    recording = open_recording(bag)
+    assert recording.calibration.kind == "rig"
+    assert recording.camera.fx_px == 70.0
+    assert any(f"{name}/info/camera_info" in note for note in recording.notes)
+
+
+def test_recording_of_a_zed_camera(tmp_path: Path) -> None:
+    from mcap.writer import Writer
+
+    path = tmp_path / "drive.svo2"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("Camera_SN1/side_by_side", "zed_sdk_encoded", b"")
+        channel = writer.register_channel("Camera_SN1/side_by_side", "zed_sdk_encoded", schema)
+        writer.add_message(channel, 0, b"image", 0)
+        writer.finish()
+    (tmp_path / "old.svo").write_bytes(b"\x01" * 500)
+    for file_name in ("drive.svo2", "old.svo"):
+        with pytest.raises(VideoError, match=rf"{file_name}: .*ZED.*--stereo-layout side-by-side.*SN\*\.conf"):
+            open_recording(tmp_path / file_name)

@@ -20,6 +20,7 @@ from track_range.recording.bags.decoding import (
     is_readable,
 )
 from track_range.recording.files.file_state import FileState
+from track_range.recording.files.video_file import ZED_SENTENCE
 from track_range.recording.frame import TIME_EPSILON_S, VideoError, VideoFrame, is_neutral, strictly_later
 from track_range.recording.names import BagTopic
 from track_range.recording.recorded_video import RecordedVideo
@@ -32,7 +33,9 @@ _MAX_LATENCY_S = 5.0  # largest time, s, between the time stamp of an image and 
 _FIRST_PLAUSIBLE_S = 631_152_000.0  # 1990; smaller times are those of a simulation, or since a computer was started
 _UTC_UNCERTAINTY_S = 0.1  # largest delay, s, between exposure and time stamp; assumed
 _MAX_LEVELS = 3  # levels above an image topic in which its calibration is searched: /left/image_raw/compressed -> /left
-_CALIBRATION_NAMES = ("camera_info", "calibration")  # last parts of the names of calibration topics
+_ZED_ENCODING = "zed_sdk_encoded"  # of the images of .svo2 files
+_CALIBRATION_NAMES = ("camera_info", "calibration", "info/camera_info")  # ends of the names of calibration topics
+"""The last one is that of RealSense's recorder: /device_0/sensor_0/Infrared_1/image/data and .../info/camera_info."""
 
 
 class BagVideo(RecordedVideo):
@@ -125,6 +128,8 @@ class BagVideo(RecordedVideo):
 
     def _chosen_topic(self) -> Topic:
         topics, listed = self._bag.topics, topic_list(self._bag, IMAGE_TYPES)
+        if any(topic.encoding == _ZED_ENCODING for topic in topics.values()) or "svo_header" in topics:
+            raise VideoError(f"{self.path}: {ZED_SENTENCE}")
         name = self.path.topic
         if name is None:
             images = [topic.name for topic in topics.values() if topic.type in IMAGE_TYPES]

@@ -410,6 +410,13 @@ def _prepared(stream: VideoStream) -> VideoStream:
     return stream
 
 
+ZED_SENTENCE = (
+    "a recording of a ZED camera (SVO), which only its SDK can read; export it with ZED's sample SVO Export as an AVI "
+    "of both images beside each other, give that with --stereo FILE --stereo-layout side-by-side "
+    "(Python: stereo_layout), and the camera's factory calibration SN*.conf with --rig."
+)
+
+
 def _unreadable_reason(path: Path) -> str:
     try:
         with path.open("rb") as file:
@@ -422,6 +429,8 @@ def _unreadable_reason(path: Path) -> str:
         return "expected a video, got a single image; give a video file or a folder of numbered images."
     if not start:
         return "the file is empty; copy or record it again."
+    if path.suffix.lower() in (".svo", ".svo2"):
+        return ZED_SENTENCE
     if start[4:8] == b"ftyp":
         return "MP4 file without an index, truncated while recording or copying; copy it again, or repair it."
     return "not a video, or damaged at its start; give a video file or a folder of numbered images."
