@@ -263,14 +263,16 @@ class DistanceFilters:
         )
         P_vv = state.P_vv + dV_variance
         key = KeyDistance(np.where(is_side, np.nan, last.r), *last[19:22]).predicted(dt)
-        weight = models.predicted(last.weight, prior, dt)
+        static_mps = models.start_sigma_mps(classes, 0.0, np.sqrt(np.nan_to_num(last.systematic)) * ego_mps)
+        # A static model that follows a moving object is no longer static: no object changes to it.
+        is_moving = np.abs(v + ego_mps) > settings.outlier_sigma * static_mps
+        weight = models.predicted(last.weight, prior * ~(models.is_static & is_moving), dt)
         joins = np.isnan(last.ego_mps) & is_ego_known & settings.learns_noise  # the ego speed was unknown
         if joins.any():
             weight = np.where(joins & (last.weight[:, :1] == 0), prior, weight)
             joins = joins & models.is_static
             v, P_dv = np.where(joins, -ego_mps, v), np.where(joins, 0.0, P_dv)
-            start_mps = models.start_sigma_mps(classes, 0.0, np.sqrt(np.nan_to_num(last.systematic)) * ego_mps)
-            P_vv = np.where(joins, start_mps**2, P_vv)
+            P_vv = np.where(joins, static_mps**2, P_vv)
 
         # A change of condition: the step may be as large as the old and the new systematic error together.
         condition, is_changed = last.condition, np.zeros(d.shape, np.bool_)
@@ -307,7 +309,7 @@ class DistanceFilters:
         state = state.update(nu, R, valid=known)
         if growth is not None:
             state, key, nu, S = key.grown(state, growth, valid=~is_lost, outlier_sigma=settings.outlier_sigma)
-            is_grown = np.isfinite(nu).all(axis=1, keepdims=True)
+            is_grown = np.asarray(np.isfinite(nu).all(axis=1, keepdims=True))
             weight = models.updated(weight, nu, S, valid=is_grown, evidence=_GROWTH_EVIDENCE)
         state = replace(state, x=np.maximum(state.x, _MIN_DISTANCE_M))
 
