@@ -60,6 +60,9 @@ _DRIFT = 0.2
 Chosen on 13 of KITTI's tracking sequences."""
 
 _GROWTH_EVIDENCE = 1.0  # exponent of the likelihoods of growths, whose sigma is true
+_LONG_DRIFT_HZ, _IS_LONG = 0.15, np.array([name in ("truck", "bus") for name in ROAD_CLASSES])
+"""Growth per second of that of long vehicles, whose visible sides change in turns."""
+
 _MAX_DRIFTING = 0.08  # largest relative sigma that drifts: that of shapes; more is an unknown scale, which is constant
 
 _MIN_DISTANCE_M = 0.3  # a track that is predicted to be nearer has passed the camera, and its filter restarts
@@ -256,7 +259,8 @@ class DistanceFilters:
         d, v = state.x - dt * dV / 2, state.v - dV
         is_expired = (time_s - last.measured_s > settings.max_gap_s) | (d < _MIN_DISTANCE_M)
         d, v = np.where(is_expired.any(axis=1, keepdims=True), np.nan, (d, v))
-        drift = _DRIFT * np.nan_to_num(np.minimum(last.systematic, _MAX_DRIFTING**2) * np.abs(last.d * last.v))
+        changing = np.abs(last.d * last.v) * _DRIFT + last.d**2 * _LONG_DRIFT_HZ * _IS_LONG[classes]
+        drift = np.nan_to_num(np.minimum(last.systematic, _MAX_DRIFTING**2) * changing)
         P_dd, P_dv = (
             state.P_xx + dt * dt / 4 * dV_variance + dt * drift * settings.learns_noise,
             state.P_xv + dt / 2 * dV_variance,
@@ -304,7 +308,7 @@ class DistanceFilters:
         # Update.
         state = ConstantVelocity(d, v, P_dd, P_dv, P_vv)
         R = R * np.maximum(1.0, excess) ** 2
-        weight = models.updated(weight, nu, P_dd + R, valid=known)
+        weight = models.updated(weight, nu, P_dd + R, valid=np.asarray(known))
         side, key = side.updated(state, nu, R, valid=known), key.updated(state, nu, R, valid=known)
         state = state.update(nu, R, valid=known)
         if growth is not None:

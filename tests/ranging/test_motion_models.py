@@ -116,3 +116,12 @@ def test_moments_of_a_mixture():
     assert mean_of(x, weight) == pytest.approx(np.array([[1.0]]))
     assert covariance_of(x, x, P, weight) == pytest.approx(np.array([[6.5]]))
     assert covariance_of(x, -x, -P, weight) == pytest.approx(np.array([[-6.5]]))
+
+
+def test_rates_of_long_vehicles_are_less_certain():
+    """The sides of a truck that are seen change, so that its distance says less about its speed."""
+    moving = {"may_be_static": np.zeros(8, np.bool_), "noise": 0.005}
+    car = filtered([6.0] * 8, **moving)
+    truck = filtered([6.0] * 8, class_id=np.full(8, ROAD_CLASSES.index("truck")), **moving)
+    ratio = np.median(truck.rate_sigma_mps / car.rate_sigma_mps)
+    assert 1.1 < ratio < 3.0
