@@ -193,7 +193,20 @@ def _read_oak(text: str, path: Path) -> RigCalibration:
         f"{path}: {_OAK_TITLE} of {device}: sockets {left} (left) and {right} (right), lengths in centimetres; the "
         f"baseline is {length:.4f} m by its {kind} translation{also}."
     )
-    return RigCalibration(cameras[left].camera(), cameras[right].camera(), motion, notes=(note,), metres_per_unit=0.01)
+    rig = RigCalibration(cameras[left].camera(), cameras[right].camera(), motion, notes=(note,), metres_per_unit=0.01)
+    # modes such as 720p of a sensor with 800 rows leave out rows at the top and at the bottom
+    cropped = [_cropped(camera) for camera in (rig.left, rig.right) if camera is not None]
+    if None in cropped:
+        return rig
+    crop_note = f"{path}: rows are left out at the top and the bottom of images in 16:9, as in the sensor's modes."
+    return replace(rig, others=(replace(rig, left=cropped[0], right=cropped[1], notes=(note, crop_note)),))
+
+
+def _cropped(camera: PinholeCamera) -> PinholeCamera | None:
+    """The camera of the middle rows in 16:9; None for a camera whose images are not higher."""
+    height_px = round(camera.width_px * 9 / 16)
+    n_rows = (camera.height_px - height_px) / 2
+    return replace(camera, cy_px=camera.cy_px - n_rows, height_px=height_px) if n_rows > 0 and height_px else None
 
 
 def _route(cameras: Mapping[int, _OakCamera], start: int, goal: int) -> _Path | None:

@@ -35,8 +35,6 @@ _BRACKETS = str.maketrans("[](),;", "      ")  # separators, and the brackets of
 _RAW_LINE = re.compile(r"^[ \t]*([SKDRT]_\d{2,3})[ \t]*[: \t][ \t]*(.*)$", re.MULTILINE)
 _RAW_COUNTS = {"K": 9, "D": 5, "R": 9, "T": 3}  # numbers in the lines of the images before rectification
 _MAX_VALUE = 1e7  # largest plausible magnitude of a number in a projection; NaN and larger numbers are rejected
-_VIRTUAL = re.compile(r"^\s*frame\s+cameraID\s+K\[0,0\]", re.MULTILINE)  # head of Virtual KITTI's intrinsic.txt
-_VIRTUAL_BASELINE_M, _VIRTUAL_SIZE = 0.532725, (1242, 375)  # Virtual KITTI 2, europe.naverlabs.com: stereo cameras
 _COLOUR, _GREY = (2, 3), (0, 1)  # numbers of the left and right camera of each pair
 
 
@@ -215,49 +213,10 @@ def _size(values: str, name: str) -> tuple[int, int]:
     return round(width), round(height)
 
 
-def _read_numbers(text: str, source: object, _is_grey: bool) -> RigCalibration:
-    """The pair of one camera matrix: FoundationStereo's K.txt with its baseline, Virtual KITTI's intrinsic.txt."""
-    if _VIRTUAL.search(text):
-        words = next((line.split() for line in text.splitlines() if re.match(r"^\s*\d", line)), [])
-        numbers = _numbers(" ".join(words), 6, f"{source}: first line of numbers")
-        fx, fy, cx, cy = numbers[2:]
-        size_px, baseline_m = _VIRTUAL_SIZE, _VIRTUAL_BASELINE_M
-        note = (
-            f"{source}: Virtual KITTI's intrinsic.txt; assumed: its baseline of {baseline_m} m, images of 1242x375 px."
-        )
-    else:
-        first, second = (line for line in text.splitlines() if line.strip())
-        k = _numbers(first, 9, f"{source}: camera matrix")
-        fx, fy, cx, cy = k[[0, 4, 2, 5]]
-        size_px, baseline_m = (0, 0), float(_numbers(second, 1, f"{source}: baseline")[0])
-        note = f"{source}: FoundationStereo's K.txt of rectified images; a baseline of {baseline_m:.5g} m."
-    if not (np.isfinite([fx, fy, cx, cy]).all() and max(abs(fx), abs(fy), abs(cx), abs(cy)) <= _MAX_VALUE):
-        raise RigError(
-            f"{source}: expected focal lengths and a principal point in pixels, found others; correct the file."
-        )
-    camera = PinholeCamera(float(fx), float(fy), float(cx), float(cy), *size_px)
-    right_from_left = np.eye(4)
-    right_from_left[0, 3] = -baseline_m
-    return RigCalibration(camera, camera, right_from_left, notes=(note,))
-
-
-def _is_numbers(text: str) -> bool:
-    """Whether a file is Virtual KITTI's, or one line of 9 numbers and one of a number."""
-    counts = [len(line.split()) for line in text.splitlines() if line.strip()][:3]
-    return _VIRTUAL.search(text) is not None or (counts == [9, 1] and all(map(_NUMBER.match, text.split())))
-
-
 KITTI = RigFormat(
     name="kitti",
     title="KITTI's calib.txt, or that of KITTI-360 or DrivingStereo",
     recognises=_has_projections,
     read=_read,
     missing=_missing,
-)
-NUMBERS = RigFormat(
-    name="numbers",
-    title="FoundationStereo's K.txt or Virtual KITTI's intrinsic.txt",
-    recognises=_is_numbers,
-    read=_read_numbers,
-    missing=lambda _text, _path, _is_grey: "a baseline",
 )

@@ -26,7 +26,12 @@ from track_range.stereo.geometry.lenses import KANNALA_BRANDT, PINHOLE
 from track_range.stereo.geometry.rig import RigError, inverse_motion
 from track_range.stereo.geometry.rig_checks import MAX_SIDE_PX, RigCalibration
 from track_range.stereo.rig_formats.rig_format import RigFormat
-from track_range.stereo.rig_formats.values.containers import calibration_text, plain_values
+from track_range.stereo.rig_formats.values.containers import (
+    K_AND_BASELINE,
+    VIRTUAL_KITTI,
+    calibration_text,
+    plain_values,
+)
 from track_range.stereo.rig_formats.values.partners import is_second, other_half, partner_of
 from track_range.stereo.rig_formats.values.quantities import Quantities, Side, quantities_of
 
@@ -66,6 +71,16 @@ KINDS = (
         1.0,
         (2048, 1024),
         "images of 2048x1024 px, as all of Cityscapes",
+        is_rectified=True,
+    ),
+    Kind("foundation-stereo", "FoundationStereo's K.txt", K_AND_BASELINE, 1.0, is_rectified=True),
+    Kind(
+        "virtual-kitti",
+        "Virtual KITTI's intrinsic.txt",
+        VIRTUAL_KITTI,
+        1.0,
+        (1242, 375),
+        "the baseline of Virtual KITTI 2 and its images of 1242x375 px",
         is_rectified=True,
     ),
     Kind("orb-slam", "ORB-SLAM's settings", re.compile(r"^(?:Camera1?\.fx|LEFT\.K)\s*:", _M), 1.0),

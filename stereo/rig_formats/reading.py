@@ -15,7 +15,7 @@ from track_range.stereo.geometry.rig_checks import RigCalibration, check_camera,
 from track_range.stereo.rig_formats.body_frames import EUROC, VINS
 from track_range.stereo.rig_formats.devices import OAK, REALSENSE, ZED
 from track_range.stereo.rig_formats.kalibr import KALIBR
-from track_range.stereo.rig_formats.kitti import KITTI, NUMBERS
+from track_range.stereo.rig_formats.kitti import KITTI
 from track_range.stereo.rig_formats.matrices import EXPECTED, FORMATS
 from track_range.stereo.rig_formats.opencv import OPENCV
 from track_range.stereo.rig_formats.rig_format import RigFormat, RigWriter
@@ -26,7 +26,7 @@ from track_range.stereo.rig_formats.values.partners import files_of
 
 _NAMED = {name: rig_format for name, rig_format in FORMATS.items() if name not in ("opencv", "matrices")}
 RIG_FORMATS: tuple[RigFormat, ...] = (
-    *(RIG_YAML, ZED, OAK, REALSENSE, EUROC, VINS, *_NAMED.values(), OPENCV, KALIBR, KITTI, NUMBERS, ROS),
+    *(RIG_YAML, ZED, OAK, REALSENSE, EUROC, VINS, *_NAMED.values(), OPENCV, KALIBR, KITTI, ROS),
     FORMATS["matrices"],
 )
 """Formats in the order in which they are tried; the first that recognises a file reads it.

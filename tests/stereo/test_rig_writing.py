@@ -110,5 +110,5 @@ def test_written_files_are_recognised(tmp_path, name, cameras):
 
 
 def test_names_of_rig_formats_are_unique():
-    assert len({rig_format.name for rig_format in RIG_FORMATS}) == len(RIG_FORMATS) == 17
+    assert len({rig_format.name for rig_format in RIG_FORMATS}) == len(RIG_FORMATS) == 18
     assert list(rig_writers()) == ["ours", "opencv"]

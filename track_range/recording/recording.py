@@ -187,8 +187,8 @@ def open_recording(
         left: video file, several files of one recording, folder of such files or of numbered images, camera (0,
             /dev/video0) or stream (rtsp://...).
         right: the same; None = one camera, or with `stereo_layout` two in one recording, as `right` = `left`.
-        rig: calibration file: rig.yaml, KITTI's calib.txt, OpenCV's or Kalibr's; or the models of two cameras, of which
-            one video has the left one; None = a file next to `left`, if any.
+        rig: calibration file, such as rig.yaml, or one of a camera or of a script; or the models of two cameras, of
+            which one video has the left one; None = a file next to `left`, if any.
         focal_px: focal length of cameras without a calibration file.
         fov_deg: horizontal field of view, 20 to 120 degrees, to which the images of wide lenses are undistorted; None =
             that of the lens, up to 120 degrees.

@@ -67,6 +67,10 @@ _ASSIGNMENT = re.compile(
     r"(\[[-+\d.eE,;\s\[\]]*\]|[-+]?\d[\d.]*(?:[eE][-+]?\d+)?)",
     re.MULTILINE,
 )
+_WORD = r"[-+]?\d[\d.]*(?:[eE][-+]?\d{1,3})?"
+K_AND_BASELINE = re.compile(rf"\s*(?:{_WORD}[ \t]+){{8}}{_WORD}[ \t]*\n\s*\d[\d.]*\s*\Z")  # of FoundationStereo
+VIRTUAL_KITTI = re.compile(r"\s*frame\s+cameraID\s+K\[0,0\]")  # head of its intrinsic.txt
+_VIRTUAL_BASELINE_M = 0.532725  # of Virtual KITTI 2, europe.naverlabs.com
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 
 
@@ -99,6 +103,14 @@ def calibration_text(path: Path, expected: str) -> str:
 def plain_values(text: str, path: Path, expected: str) -> dict[str, Any]:
     """Values by key of a calibration's text, numbers of matrices also as texts; raises RigError for broken syntax."""
     start = text.lstrip()[:1]
+    if K_AND_BASELINE.match(text):
+        numbers = [float(word) for word in text.split()]
+        return {"K": numbers[:9], "baseline": numbers[9]}
+    if VIRTUAL_KITTI.match(text):
+        rows = [line.split() for line in text.splitlines() if line.strip()][1:2]
+        names = ("frame", "camera", "fx", "fy", "cx", "cy")
+        words = {name: word for row in rows for name, word in zip(names, row, strict=False)}
+        return {"baseline": _VIRTUAL_BASELINE_M} | words
     if start == "<":
         return _xml_values(text, path, expected)
     if start == "{":

@@ -80,9 +80,9 @@ class InputOptions(Options):
     rig: Annotated[
         Path | None,
         _clip_option(
-            "Calibration file: rig.yaml, KITTI's calib.txt, ROS's camera_info, OpenCV's stereo calibration or Kalibr's "
-            "camchain (default: rig.yaml or calib.txt in the folder of the left video; without one, distances are "
-            "uncalibrated)."
+            "Calibration file, recognised by its content: rig.yaml, ZED's SN*.conf, DepthAI's (OAK) JSON, RealSense's, "
+            "OpenCV's, MATLAB's, NumPy's, Kalibr's, EuRoC's, ROS's, KITTI's and others, or a folder of them "
+            "(default: rig.yaml or calib.txt in the folder of the left video; without one, distances are uncalibrated)."
         ),
     ] = None
     focal_px: Annotated[
