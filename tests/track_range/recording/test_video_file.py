@@ -384,3 +384,76 @@ def test_real_videos(shared_data: Path, name: str, n: int, fps: int) -> None:
 def test_real_grey_video(shared_data: Path) -> None:
     reader = open_video(shared_data / "kitti_odometry/gray51/left.mp4")
     assert (reader.width_px, reader.height_px, reader.n_frames, reader.is_grey) == (1226, 370, 51, True)
+
+
+def test_clock_that_is_set_back(tmp_path: Path, film: Film, level: Callable[..., np.ndarray]) -> None:
+    """Joined transport streams: the second one begins at the time of the first one."""
+    parts = [
+        film(tmp_path / f"{first}.ts", EVEN_S[:12], images=[level(first + n) for n in range(12)], gop=1)
+        for first in (0, 12)
+    ]
+    path = tmp_path / "joined.ts"
+    path.write_bytes(b"".join(part.read_bytes() for part in parts))
+    reader = open_video(path)
+    time_s = np.array([frame.time_s for frame in reader])
+    assert 22 <= len(time_s) <= 24  # packets at the joint count as damaged
+    assert time_s[-1] - time_s[0] == pytest.approx(2.3, abs=0.02)
+    assert (np.diff(time_s) > 0.09).all()
+    assert "set back 1 time, first after 1.1" in reader.notes[0] or "first after 2." in reader.notes[0]
+    reader.select(2.0)
+    assert [round(frame.time_s - time_s[0], 2) for frame in reader] == pytest.approx([2.0, 2.1, 2.2, 2.3], abs=0.02)
+
+
+def test_a_single_wrong_time_is_no_reset(tmp_path: Path, film: Film) -> None:
+    whole = film(tmp_path / "film.mp4", EVEN_S[:40], options={"movflags": "+frag_every_frame"})
+    assert len(list(open_video(whole))) == 40
+    assert open_video(whole).notes == ()
+
+
+def test_rounded_times_of_matroska(tmp_path: Path, film: Film) -> None:
+    reader = open_video(film(tmp_path / "film.mkv", [n / 30 for n in range(40)], rate=30))
+    assert [frame.time_s for frame in reader] == pytest.approx([n / 30 for n in range(40)], abs=1e-9)
+
+
+def test_stream_without_a_container(tmp_path: Path, film: Film) -> None:
+    assumed = open_video(film(tmp_path / "film.h264", EVEN_S[:12]))  # states 90 000 frames/s, those of its clock
+    assert assumed.fps == 25.0
+    assert "25 frames/s are assumed" in assumed.notes[0]
+    import av
+
+    with av.open(str(tmp_path / "stated.h264"), "w") as container:
+        stream = container.add_stream("libx264", rate=10)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        for _ in range(12):
+            container.mux(stream.encode(av.VideoFrame(64, 48, "yuv420p")))
+        container.mux(stream.encode(None))
+    reader = open_video(tmp_path / "stated.h264")
+    assert (reader.fps, reader.notes) == (10.0, ())  # as H.264 states it; FFmpeg assumes 25
+    assert [frame.time_s for frame in reader] == pytest.approx(EVEN_S[:12])
+    assert [frame.index for frame in open_video(tmp_path / "stated.h264")] == list(range(12))
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 4])
+def test_few_frames(tmp_path: Path, film: Film, n: int) -> None:
+    assert len(list(open_video(film(tmp_path / "film.mp4", EVEN_S[:n])))) == n
+
+
+def test_cover_art_is_no_video(tmp_path: Path, film: Film) -> None:
+    import av
+    from av.stream import Disposition
+
+    plain = film(tmp_path / "plain.mp4", EVEN_S[:5])
+    path = tmp_path / "cover.mp4"
+    with av.open(str(plain)) as source, av.open(str(path), "w") as target:
+        cover = target.add_stream("mjpeg", rate=1)
+        cover.width, cover.height, cover.pix_fmt = 640, 480, "yuvj420p"
+        cover.disposition = Disposition.attached_pic
+        stream = target.add_stream_from_template(source.streams.video[0])
+        target.mux(cover.encode(av.VideoFrame(640, 480, "yuvj420p")))
+        for packet in source.demux(video=0):
+            if packet.size:
+                packet.stream = stream
+                target.mux(packet)
+    reader = open_video(path)
+    assert (reader.width_px, reader.height_px, reader.notes) == (64, 48, ())
+    assert len(list(reader)) == 5

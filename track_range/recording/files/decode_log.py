@@ -23,6 +23,7 @@ class DecodeLog:
         self.last_s: float | None = None  # time of the last decoded frame; None = none yet
         self.end_s = 0.0  # time at which that frame ends
         self.stopped_by = ""  # reason why reading stopped early; empty = it did not
+        self._resets_s: list[float] = []  # times of the last frames before the clock was set back
         self._n_gaps, self._longest_gap = 0, (0.0, 0.0)  # length and place, s
         self._stamps: list[int] = []  # heap of packet timestamps not yet passed by a frame
         self._n_passed = 0
@@ -40,6 +41,10 @@ class DecodeLog:
             heapq.heappush(self._stamps, stamp)
             if is_corrupt:
                 self._corrupt.add(stamp)
+
+    def reset(self, last_s: float) -> None:
+        """Register that the clock of the file was set back after a frame."""
+        self._resets_s.append(last_s)
 
     def frame_index(self, stamp: int | None) -> int:
         """Index of the frame with this timestamp, from 0; to be called once per frame in order of time.
@@ -79,6 +84,11 @@ class DecodeLog:
             notes.append(
                 f"reading stopped after {counted(self.n_used, 'frame')}, at {self.end_s:.2f} s: the file is damaged or "
                 f"truncated there ({self.stopped_by})."
+            )
+        if self._resets_s:
+            notes.append(
+                f"the clock was set back {counted(len(self._resets_s), 'time')}, first after "
+                f"{self._resets_s[0]:.2f} s, as in joined files: the frames follow on at the nominal frame rate."
             )
         if self._n_gaps:
             notes.append(

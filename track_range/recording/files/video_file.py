@@ -51,6 +51,11 @@ _MIN_RATE_HZ, _MAX_RATE_HZ = 1e-4, 1e5  # range of frame rates; the rate of anot
 
 _STILL = Disposition.attached_pic | Disposition.timed_thumbnails  # streams that are no videos
 
+_RAW = frozenset(("h264", "hevc", "vvc", "m4v", "mpegvideo", "obu"))  # FFmpeg's names of streams without a container
+_MIN_STATED_HZ, _MAX_STATED_HZ = 1.0, 1000.0  # range of their frame rates; others are those of a clock
+_RESET_S = 1.0  # step back in time from which the clock was set back; frames are stored in another order within less
+_MILLISECOND, _ROUNDING_S = Fraction(1, 1000), 0.0006  # time base of Matroska, and largest error of its rounding, s
+
 _MAX_PIXEL_ASPECT = 4.0  # largest plausible ratio of the sides of a pixel
 
 _FORMATS = (
@@ -261,7 +266,19 @@ class _Reading:
             self.notes.append(f"states {rates_hz[0]:.4g} frames/s, which is ignored; timestamps are used.")
         # AVI stores no timestamps, and those that FFmpeg guesses are out of order with B-frames.
         self._is_stamped = not (self.container.format.name == "avi" and self.stream.codec_context.has_b_frames)
+        if self.container.format.name in _RAW:  # without timestamps, which FFmpeg counts at 25 frames/s
+            self._is_stamped = False
+            stated = float(self.stream.codec_context.framerate or 0)
+            if _MIN_STATED_HZ <= stated <= _MAX_STATED_HZ:
+                self.fps = stated
+            else:
+                self.notes.append(
+                    f"states no times and no frame rate; {self.fps:g} frames/s are assumed, on which speeds depend: "
+                    "give it a container with the true rate (ffmpeg -r RATE -i IN -c copy OUT.mp4)."
+                )
         self.time_base = self.stream.time_base or Fraction(1, 90_000)
+        self._last_stamp: int | None = None  # of the packets so far, in ticks of `time_base`, continued over resets
+        self._shift = 0  # from the clock of the file to the continued one, in ticks
         self.packets = self._demuxed()
         self._decoded: deque[av.VideoFrame] = deque()
         self._from_s = math.inf  # damaged frames before the requested part do not count
@@ -299,7 +316,7 @@ class _Reading:
             stamp = (frame.dts if frame.pts is None else frame.pts) if self._is_stamped else None
             index = log.frame_index(stamp)
             stamp_s = None if stamp is None else float(stamp * self.time_base)
-            time_s = strictly_later(stamp_s, log.last_s, interval_s=interval_s)
+            time_s = strictly_later(self._unrounded(stamp_s), log.last_s, interval_s=interval_s)
             if time_s is None:
                 log.n_backward += 1
                 continue
@@ -309,6 +326,13 @@ class _Reading:
                 yield index, time_s, frame
             elif time_s >= self._from_s:
                 log.n_damaged += 1
+
+    def _unrounded(self, stamp_s: float | None) -> float | None:
+        """The time of a frame at the nominal rate, if a file with whole milliseconds may have rounded it."""
+        if stamp_s is None or self.time_base != _MILLISECOND:
+            return stamp_s
+        expected_s = round(stamp_s * self.fps) / self.fps
+        return expected_s if abs(expected_s - stamp_s) <= _ROUNDING_S else stamp_s
 
     def _next_decoded(self) -> av.VideoFrame | None:
         """The next frame that can be decoded; None = the end of the file."""
@@ -338,8 +362,25 @@ class _Reading:
             if packet is None:
                 return
             if packet.size and not packet.is_discard:
+                self._continue_clock(packet)
                 self.log.packet(packet.pts, is_corrupt=packet.is_corrupt)
             yield packet
+
+    def _continue_clock(self, packet: Packet[VideoStream]) -> None:
+        """Let the times of a packet follow on where the clock of the file was set back, as in joined files."""
+        stamp, last = packet.dts if packet.dts is not None else packet.pts, self._last_stamp
+        if stamp is None or not self._is_stamped:
+            return
+        tick_s = float(self.time_base)
+        if last is not None and self._shift and 0 < (stamp - last) * tick_s < _RESET_S:
+            self._shift = 0  # a single wrong time, or the clock continues
+        elif last is not None and (stamp + self._shift - last) * tick_s < -_RESET_S:
+            self._shift = last + round(1 / (self.fps * tick_s)) - stamp
+            self.log.reset(last * tick_s)
+        if self._shift:
+            packet.dts = None if packet.dts is None else packet.dts + self._shift
+            packet.pts = None if packet.pts is None else packet.pts + self._shift
+        self._last_stamp = stamp + self._shift
 
 
 def _display_axes(frame: av.VideoFrame) -> tuple[int, int, int, int]:
