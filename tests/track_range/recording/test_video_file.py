@@ -404,10 +404,28 @@ def test_clock_that_is_set_back(tmp_path: Path, film: Film, level: Callable[...,
     assert [round(frame.time_s - time_s[0], 2) for frame in reader] == pytest.approx([2.0, 2.1, 2.2, 2.3], abs=0.02)
 
 
-def test_a_single_wrong_time_is_no_reset(tmp_path: Path, film: Film) -> None:
-    whole = film(tmp_path / "film.mp4", EVEN_S[:40], options={"movflags": "+frag_every_frame"})
-    assert len(list(open_video(whole))) == 40
-    assert open_video(whole).notes == ()
+def test_clock_that_continues_after_wrong_times(tmp_path: Path, film: Film) -> None:
+    parts = [
+        film(tmp_path / f"{first_s}.ts", [first_s + n / 10 for n in range(n_frames)], gop=1)
+        for first_s, n_frames in ((0.0, 12), (0.1, 3), (1.5, 12))
+    ]
+    path = tmp_path / "joined.ts"
+    path.write_bytes(b"".join(part.read_bytes() for part in parts))
+    time_s = np.array([frame.time_s for frame in open_video(path)])
+    assert time_s[-1] - time_s[0] == pytest.approx(2.6, abs=0.02)  # not 3 frames later
+    assert (np.diff(time_s) > 0.09).all()
+
+
+@pytest.mark.parametrize(("n_each", "n_repeated"), [(1, 0), (2, 20)])
+def test_repeated_images(
+    tmp_path: Path, film: Film, level: Callable[..., np.ndarray], n_each: int, n_repeated: int
+) -> None:
+    """A conversion from 5 to 10 frames/s repeats every image; a stop repeats one many times."""
+    images = [level(number // n_each % 40) for number in range(40)] + [level(0)] * 20
+    reader = open_video(film(tmp_path / "film.mp4", [n / 10 for n in range(60)], images=images, options={"crf": "0"}))
+    list(reader)
+    notes = [note for note in reader.notes if "repeat the image" in note]
+    assert [f" {n_repeated} frames of 60" in note for note in notes] == [True] * bool(n_repeated)
 
 
 def test_rounded_times_of_matroska(tmp_path: Path, film: Film) -> None:

@@ -4,9 +4,16 @@ from __future__ import annotations
 
 import heapq
 
+import numpy as np
+
+from track_range.foundation.arrays import Image
 from track_range.foundation.files.input_files import counted
 
 _GAP_INTERVALS = 2.5  # time step, in frame intervals, above which a gap is reported; the jitter of phones is smaller
+
+
+_SAMPLE_STEP = 16  # pixels from one to the next in which images are compared
+_MAX_REPEATED = 0.02  # fraction of repeated images above which there is a note; a camera repeats single ones
 
 
 class DecodeLog:
@@ -16,10 +23,13 @@ class DecodeLog:
         n_used: frames passed on.
         n_damaged: frames skipped because they, or frames that they depend on, are damaged.
         n_backward: frames skipped because their timestamp equals or precedes the last one.
+        n_repeated: frames with exactly the image before, between others that differ.
     """
 
     def __init__(self) -> None:
-        self.n_used = self.n_damaged = self.n_backward = 0
+        self.n_used = self.n_damaged = self.n_backward = self.n_repeated = 0
+        self._sample: Image | None = None  # of the image before
+        self._repeats = (False, False)  # whether the two images before repeated the one before each
         self.last_s: float | None = None  # time of the last decoded frame; None = none yet
         self.end_s = 0.0  # time at which that frame ends
         self.stopped_by = ""  # reason why reading stopped early; empty = it did not
@@ -71,6 +81,13 @@ class DecodeLog:
                 self._longest_gap = step_s, time_s - step_s
         self.last_s, self.end_s = time_s, time_s + duration_s
 
+    def image(self, image: Image) -> None:
+        """Count an image that repeats the one before exactly, while those around it differ: not those of a stop."""
+        sample = image[::_SAMPLE_STEP, ::_SAMPLE_STEP].copy()
+        is_repeat = self._sample is not None and np.array_equal(sample, self._sample)
+        self.n_repeated += self._repeats == (False, True) and not is_repeat
+        self._sample, self._repeats = sample, (self._repeats[1], is_repeat)
+
     def note_shortfall(self, declared_end_s: float, *, tolerance_s: float) -> None:
         """Report a file that ends more than `tolerance_s` before the end stated by its header."""
         if not self.stopped_by and self.end_s < declared_end_s - tolerance_s:
@@ -94,6 +111,11 @@ class DecodeLog:
             notes.append(
                 f"{counted(self._n_gaps, 'gap')} in the timestamps, the longest {self._longest_gap[0]:.2f} s, after "
                 f"{self._longest_gap[1]:.2f} s: frames are missing there."
+            )
+        if self.n_repeated > _MAX_REPEATED * self.n_used:
+            notes.append(
+                f"{counted(self.n_repeated, 'frame')} of {self.n_used} repeat the image before them, as after a change "
+                "of the frame rate: speeds are less accurate; use the video as the camera recorded it."
             )
         if self.n_damaged:
             notes.append(f"{counted(self.n_damaged, 'damaged frame')} skipped.")

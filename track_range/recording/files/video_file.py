@@ -159,7 +159,9 @@ class VideoFile(RecordedVideo):
                     if decoded.size_px != (self.width_px, self.height_px):
                         advice = f"cut the video after {counted(self._log.n_used - 1, 'frame')}, or use --duration"
                         self.check_size(decoded.size_px, "", advice)
-                    yield VideoFrame(index, time_s, decoded.to_bgr(), decoded)
+                    image = decoded.to_bgr()
+                    self._log.image(image)
+                    yield VideoFrame(index, time_s, image, decoded)
         self._log.note_shortfall(self._declared_end_s, tolerance_s=_SHORTFALL_FRAMES / self.fps)
 
     def check_unchanged(self) -> None:
