@@ -314,7 +314,7 @@ class DistanceFilters:
         if growth is not None:
             state, key, nu, S = key.grown(state, growth, valid=~is_lost, outlier_sigma=settings.outlier_sigma)
             is_grown = np.asarray(np.isfinite(nu).all(axis=1, keepdims=True))
-            weight = models.updated(weight, nu, S, valid=is_grown, evidence=_GROWTH_EVIDENCE)
+            weight = models.updated(weight, nu, S, valid=np.asarray(is_grown), evidence=_GROWTH_EVIDENCE)
         state = replace(state, x=np.maximum(state.x, _MIN_DISTANCE_M))
 
         # Restart.
