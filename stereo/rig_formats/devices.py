@@ -195,8 +195,8 @@ def _read_oak(text: str, path: Path) -> RigCalibration:
     )
     rig = RigCalibration(cameras[left].camera(), cameras[right].camera(), motion, notes=(note,), metres_per_unit=0.01)
     # modes such as 720p of a sensor with 800 rows leave out rows at the top and at the bottom
-    cropped = [_cropped(camera) for camera in (rig.left, rig.right) if camera is not None]
-    if None in cropped:
+    cropped = [_cropped(cameras[socket].camera()) for socket in (left, right)]
+    if cropped[0] is None or cropped[1] is None:
         return rig
     crop_note = f"{path}: rows are left out at the top and the bottom of images in 16:9, as in the sensor's modes."
     return replace(rig, others=(replace(rig, left=cropped[0], right=cropped[1], notes=(note, crop_note)),))

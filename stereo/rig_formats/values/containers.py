@@ -67,8 +67,8 @@ _ASSIGNMENT = re.compile(
     r"(\[[-+\d.eE,;\s\[\]]*\]|[-+]?\d[\d.]*(?:[eE][-+]?\d+)?)",
     re.MULTILINE,
 )
-_WORD = r"[-+]?\d[\d.]*(?:[eE][-+]?\d{1,3})?"
-K_AND_BASELINE = re.compile(rf"\s*(?:{_WORD}[ \t]+){{8}}{_WORD}[ \t]*\n\s*\d[\d.]*\s*\Z")  # of FoundationStereo
+_WORD = r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d{1,3})?"
+K_AND_BASELINE = re.compile(rf"\s*(?:{_WORD}[ \t]+){{8}}{_WORD}[ \t]*\n\s*{_WORD}\s*\Z")  # of FoundationStereo
 VIRTUAL_KITTI = re.compile(r"\s*frame\s+cameraID\s+K\[0,0\]")  # head of its intrinsic.txt
 _VIRTUAL_BASELINE_M = 0.532725  # of Virtual KITTI 2, europe.naverlabs.com
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
