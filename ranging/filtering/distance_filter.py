@@ -81,6 +81,7 @@ class FilteredRanges:
     ttc_s: FloatArray  # (N,) time to collision, distance / closing speed; NaN = not closing, or the rate is unknown
     ttc_sigma_s: FloatArray  # (N,) standard deviation of `ttc_s`, to first order
     state: ConstantVelocity  # distance and rate, (N,) each, also where the rate is too uncertain to be reported
+    static: FloatArray | None = None  # (N,) probability that the object does not move along the axis; None = unknown
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -397,6 +398,7 @@ class DistanceFilters:
         true_P = np.where(is_static, static_P, state.P_vv)
         v, P_dv = mean_of(true_v, w), covariance_of(state.d, true_v, np.where(is_static, 0.0, state.P_dv), w)
         P_vv = covariance_of(true_v, true_v, true_P, w)
+        static = mean_of(is_static.astype(np.float64), w)
         return {
             name: FilteredRanges(
                 Ranges(by_method[name].track_id, d[i], sigma_m[i]),
@@ -405,6 +407,7 @@ class DistanceFilters:
                 ttc_s[i],
                 ttc_sigma_s[i],
                 ConstantVelocity(d[i], v[i], P_dd[i], P_dv[i], P_vv[i]),
+                static[i],
             )
             for i, name in enumerate(self._methods)
             if name in by_method

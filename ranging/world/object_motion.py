@@ -3,13 +3,14 @@
     u = v + V - w x    speed along the optical axis: filtered rate v of the distance, ego speed V, yaw rate w
     x'                 speed to the right of it over ground (`LateralFilters`, which removes the rotation of the camera)
 
-Both have the variances A = f P_vv + s^2 v^2 + sigma_V^2 and B = f P_x'x' (P of the filters, s the systematic relative
-error of the distance, f since errors of filtered rates are correlated). A priori the odds of rest are r; three quarters
-of the objects that move do so along the road, with speeds of 1 sigma M and small ones m across it, the rest in any
-direction. Bayes' rule gives the probability p that an object moves, and the moments of its speed w over both cases:
+The filter has the probability q that an object moves along the axis, and the moments of u over both cases; those of u
+where it moves follow. x' has the variance B = f P_x'x' (f since errors of filtered rates are correlated). An object
+that does not move along the axis is at rest (R) or crosses it (C, a fraction c); of those that move along it (M), three
+quarters have small speeds m across it, the rest and C any of 1 sigma M. With L_a = N(x'; B + a^2) / N(x'; B):
 
-    N(a) = N(u; A + M^2) N(x'; B + a^2)        p / (1 - p) = (3/4 N(m) + 1/4 N(M)) / (r N(u; A) N(x'; B))
-    speed = p w        sigma^2 = p (sigma_w^2 + (1 - p) w^2) + (1 - p) sigma_0^2
+    R : C : M = (1 - q) (1 - c) : (1 - q) c L_M : q (3/4 L_m + 1/4 L_M)
+
+The speed is the mean over the three, 0, |x'| and |(u_M, x')|, and its variance contains their differences.
 """
 
 from __future__ import annotations
@@ -19,13 +20,13 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from scipy.special import expit
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.track_state import TrackState
 from track_range.ranging.filtering.distance_filter import FilteredRanges
 from track_range.ranging.filtering.lateral_motion import LateralMotion
+from track_range.ranging.filtering.motion_models import ModelSettings
 from track_range.ranging.world.ego_path import EgoPose
 
 MotionState = Literal["parked", "moving", "oncoming", "crossing"]
@@ -34,13 +35,14 @@ MOTION_STATES: tuple[MotionState, ...] = get_args(MotionState)
 
 _PARKED = 0
 _PERSON = ROAD_CLASSES.index("person")
-_RATE_FACTOR = 1.5  # f; errors of filtered rates last longer than the filter assumes
+_RATE_FACTOR = 2.0  # f, as in the collision warning: errors of filtered rates last longer than the filter assumes
+_CROSSING, _WALKER_CROSSING = 0.1, 0.5  # c of vehicles and of people
+_MIN_MOVING = 1e-3  # smallest q, against a division by zero
 _MOVING_MPS, _WALKING_MPS = 8.0, 1.5  # M of vehicles and of people
-_PARKED_ODDS, _STANDING_ODDS = 2.0, 1.0  # r of vehicles, most of which are parked, and of people
 _ACROSS_MPS, _ALONG_FRACTION = 0.3, 0.75  # m, and the fraction of moving objects along the road
 
 _MAX_LOG_RATIO = 100.0  # against an overflow
-_REST_SIGMA_MPS = 0.1  # sigma_0, of the speed of an object at rest
+_REST_SIGMA_MPS = ModelSettings().static_rate_sigma_mps  # of the speed of an object at rest, as in the filter
 _UNKNOWN_EGO_SIGMA_MPS = 0.1  # sigma_V of an ego speed without one
 _MAX_SIGMA_MPS = 3.0  # largest standard deviation of a reported speed
 _SURE = 0.8  # probability of rest or of motion that changes the state
@@ -56,8 +58,8 @@ class OverGround:
     speed_mps: FloatArray
     sigma_mps: FloatArray  # standard deviation of `speed_mps`
     heading_rad: FloatArray  # direction of motion, counterclockwise from the camera's optical axis; NaN also at rest
-    moving: FloatArray  # p, probability that the object moves, 0..1
-    along_mps: FloatArray  # u
+    moving: FloatArray  # probability that the object moves, 0..1
+    along_mps: FloatArray  # u, if it moves
     right_mps: FloatArray  # x'
 
 
@@ -109,21 +111,32 @@ def over_ground(
     d, v, x = motion.state.x, motion.state.v, lateral.state
     sigma_V = ego_sigma_mps if math.isfinite(ego_sigma_mps) else _UNKNOWN_EGO_SIGMA_MPS
     s2 = np.maximum(motion.ranges.sigma_m**2 - motion.state.P_xx, 0.0) / d**2
-    A, B = _RATE_FACTOR * motion.state.P_vv + s2 * v**2 + sigma_V**2, _RATE_FACTOR * x.P_vv
-    u, right = v + ego_mps - np.nan_to_num(yaw_rad_s) * x.x, x.v
     is_person = class_id == _PERSON
+    u, right, B = v + ego_mps - np.nan_to_num(yaw_rad_s) * x.x, x.v, _RATE_FACTOR * x.P_vv
+
+    # Moments of u where the object moves along the axis.
+    q = np.maximum(1.0 - (np.zeros_like(v) if motion.static is None else motion.static), _MIN_MOVING)
+    u_M = u / q
+    A = (motion.state.P_vv + u**2 - (1 - q) * (_REST_SIGMA_MPS**2 + sigma_V**2)) / q - u_M**2
+    A = np.maximum(A, _REST_SIGMA_MPS**2) + s2 * (u_M - ego_mps) ** 2 + sigma_V**2
+
+    # Probabilities of rest, crossing and moving along.
     M = np.where(is_person, _WALKING_MPS, _MOVING_MPS)
-    odds = np.where(is_person, _STANDING_ODDS, _PARKED_ODDS)
-    across = _ALONG_FRACTION * np.exp(_log_ratio(right, B, _ACROSS_MPS))
-    across = across + (1 - _ALONG_FRACTION) * np.exp(_log_ratio(right, B, M))
-    p = expit(_log_ratio(u, A, M) + np.log(across / odds))
-    w = np.hypot(u, right)
-    w_variance = (u**2 * A + right**2 * B) / np.maximum(w, 1e-6) ** 2
-    sigma_mps = np.sqrt(p * (w_variance + (1 - p) * w**2) + (1 - p) * _REST_SIGMA_MPS**2)
+    c = np.where(is_person, _WALKER_CROSSING, _CROSSING)
+    L_m, L_M = np.exp(_log_ratio(right, B, _ACROSS_MPS)), np.exp(_log_ratio(right, B, M))
+    p = np.stack([(1 - q) * (1 - c), (1 - q) * c * L_M, q * (_ALONG_FRACTION * L_m + (1 - _ALONG_FRACTION) * L_M)])
+    p = p / p.sum(axis=0)
+    w = np.stack([np.zeros_like(u), np.abs(right), np.hypot(u_M, right)])
+    along_variance = (u_M**2 * A + right**2 * B) / np.maximum(w[2], 1e-6) ** 2
+    variance = np.stack([np.full_like(u, _REST_SIGMA_MPS**2), B, along_variance])
+    speed_mps = (p * w).sum(axis=0)
+    sigma_mps = np.sqrt((p * (variance + (w - speed_mps) ** 2)).sum(axis=0))
     is_known = sigma_mps <= _MAX_SIGMA_MPS  # False for NaN
-    speed_mps, sigma_mps, p = (np.where(is_known, values, np.nan) for values in (p * w, sigma_mps, p))
-    heading_rad = np.where(p >= 0.5, np.arctan2(-right, u), np.nan)
-    return OverGround(speed_mps, sigma_mps, heading_rad, p, u, right)
+    moving = np.where(is_known, p[1] + p[2], np.nan)
+    u_M = u_M * p[2] / (p[1] + p[2])
+    speed_mps, sigma_mps = np.where(is_known, speed_mps, np.nan), np.where(is_known, sigma_mps, np.nan)
+    heading_rad = np.where(moving >= 0.5, np.arctan2(-right, u_M), np.nan)
+    return OverGround(speed_mps, sigma_mps, heading_rad, moving, u_M, right)
 
 
 def _log_ratio(rate: FloatArray, variance: FloatArray, sigma: FloatArray | float) -> FloatArray:

@@ -17,13 +17,14 @@ CAR, PERSON = ROAD_CLASSES.index("car"), ROAD_CLASSES.index("person")
 EGO_MPS = 10.0
 
 
-def motion_of(rate_mps, *, distance_m=20.0, sigma_m=0.5, rate_sigma_mps=0.3):
-    """Filtered distances with these rates."""
+def motion_of(rate_mps, *, distance_m=20.0, sigma_m=0.5, rate_sigma_mps=0.3, static=None):
+    """Filtered distances with these rates; objects within 0.5 m/s of the ego speed are static, if not given."""
     v = np.asarray(rate_mps, np.float64)
     full = np.full_like
     state = ConstantVelocity(full(v, distance_m), v, full(v, 0.05), full(v, 0.0), full(v, rate_sigma_mps**2))
     ranges = Ranges(np.arange(len(v)), state.x, full(v, sigma_m))
-    return FilteredRanges(ranges, v, full(v, rate_sigma_mps), full(v, np.nan), full(v, np.nan), state)
+    static = np.where(np.abs(v + EGO_MPS) < 0.5, 0.97, 0.0) if static is None else full(v, static)
+    return FilteredRanges(ranges, v, full(v, rate_sigma_mps), full(v, np.nan), full(v, np.nan), state, static)
 
 
 def lateral_of(right_mps, *, x_m=1.0, sigma_mps=0.2):
@@ -46,7 +47,7 @@ def test_speed_is_the_rate_plus_the_ego_speed():
     assert (ground.moving > 0.99).all()
     s = math.sqrt(0.5**2 - 0.05) / 20  # systematic, relative
     assert ground.sigma_mps[:2] == pytest.approx(
-        [math.sqrt(1.5 * 0.09 + (s * v) ** 2 + 0.05**2) for v in (2.0, 25.0)], rel=0.02
+        [math.sqrt(0.09 + (s * v) ** 2 + 0.05**2) for v in (2.0, 25.0)], rel=0.02
     )
 
 
@@ -59,7 +60,7 @@ def test_rotation_of_the_camera_is_no_speed():
 
 
 def test_an_object_at_rest_has_almost_no_speed():
-    ground = ground_of([-10.3, -9.8], [0.05, -0.1])
+    ground = ground_of([-10.01, -9.99], [0.05, -0.1])
     assert (ground.speed_mps < 0.15).all()
     assert (ground.moving < 0.2).all()
     assert np.isnan(ground.heading_rad).all()
