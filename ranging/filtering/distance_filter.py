@@ -389,9 +389,10 @@ class DistanceFilters:
         true_v = np.where(is_static, -state.ego_mps, state.v)
         true_P = np.where(is_static, static_P, state.P_vv + state.systematic * state.v**2)
         is_steady = time_s - state.steady_since_s[:, 0] >= self._settings.min_steady_s
-        is_certain = (P_vv <= self._settings.max_rate_sigma_mps**2) & is_steady
+        rate_variance = covariance_of(true_v, true_v, true_P, w)
+        is_certain = (np.fmin(P_vv, rate_variance) <= self._settings.max_rate_sigma_mps**2) & is_steady
         rate_mps = np.where(is_certain, mean_of(true_v, w), np.nan)
-        rate_sigma_mps = np.where(is_certain, np.sqrt(covariance_of(true_v, true_v, true_P, w)), np.nan)
+        rate_sigma_mps = np.where(is_certain, np.sqrt(rate_variance), np.nan)
         sigma_m = np.sqrt(P_dd + systematic * d**2)
         ttc_s, ttc_sigma_s = time_to_collision(d, np.where(is_certain, v, np.nan), variances=(P_dd, P_dv, P_vv))
         # The state has the rate of static objects, too, without the errors of sizes.
