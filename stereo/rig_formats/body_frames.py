@@ -31,6 +31,7 @@ _MODELS = {  # of camodocal: Kalibr's names, groups of the intrinsics and coeffi
     "MEI": ("omni", "radtan", ("xi", "gamma1", "gamma2", "u0", "v0"), ("k1", "k2", "p1", "p2")),
     "KANNALA_BRANDT": ("pinhole", "equidistant", ("mu", "mv", "u0", "v0"), ("k2", "k3", "k4", "k5")),
 }
+_MAX_NAME = 200  # characters of the name of a file
 _DISTORTIONS = {"radial-tangential": "radtan", "radtan": "radtan", "equidistant": "equidistant", "none": "none"}
 
 
@@ -90,7 +91,7 @@ def _read_vins(text: str, path: Path, *, is_pair: bool) -> RigCalibration:
     blocks = {}
     for number in (0, 1) if "cam1_calib" in content else (0,):
         name = content.get(f"cam{number}_calib")
-        if not isinstance(name, str) or not name:
+        if not isinstance(name, str) or not 0 < len(name) < _MAX_NAME or not name.isprintable():
             raise RigError(
                 f"{path}: expected the name of the camera's file in cam{number}_calib, found {quoted(name)}; give the "
                 "settings with the camera files beside them."

@@ -55,6 +55,11 @@ def _read_zed(text: str, path: Path) -> RigCalibration:
     stereo = {key.upper(): value for key, value in values.get("STEREO", {}).items()}
     modes = [name.removeprefix("LEFT_CAM_") for name in values if name.startswith("LEFT_CAM_")]
     modes = [mode for mode in modes if mode in _ZED_SIZES and f"RIGHT_CAM_{mode}" in values] or modes[:1]
+    if not modes:
+        raise RigError(
+            f"{path}: expected sections such as LEFT_CAM_HD and RIGHT_CAM_HD, found none; download the file again from "
+            "calib.stereolabs.com."
+        )
     modes.sort(key=lambda mode: mode != "HD")  # the usual one first
     calibrations = [_zed_mode(values, stereo, mode, path) for mode in modes]
     sizes = ", ".join("{}x{}".format(*_ZED_SIZES.get(mode, (0, 0))) for mode in modes)
