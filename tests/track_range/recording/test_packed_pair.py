@@ -18,7 +18,7 @@ from track_range.recording.frame import VideoError
 from track_range.recording.names import Half, VideoTrack
 from track_range.recording.open_video import open_video
 from track_range.recording.pairs.packed_pair import PackedPair
-from track_range.recording.pairs.stereo_layout import matching_halves
+from track_range.recording.pairs.stereo_layout import has_second_view, matching_halves
 from track_range.recording.recording import open_recording
 from track_range.run.settings_files import save_settings, settings_from
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -178,19 +178,53 @@ def test_stated_layouts(tmp_path: Path, name: str, stereo_mode: str, options: di
     recording.close()
 
 
-@pytest.mark.parametrize(("mode", "layout"), [(1, "top-bottom"), (2, "side-by-side")])
-def test_box_st3d(tmp_path: Path, mode: int, layout: str) -> None:
-    """The box of Google's Spherical Video V2: version and flags 0, then 1 = top-bottom, 2 = left-right."""
-    path = write_video(tmp_path / "both.mp4", [[np.full((160, 320, 3), 90, np.uint8)] * 2])
-    content, box = path.read_bytes(), struct.pack(">I4sIB", 13, b"st3d", 0, mode)
-    at = content.index(b"avc1", content.index(b"stsd")) - 4
+def box(kind: bytes, content: bytes) -> bytes:
+    return struct.pack(">I4s", 8 + len(content), kind) + content
+
+
+def with_box(path: Path, added: bytes) -> Path:
+    """Add a box to the description of the video track of an MP4 file whose index is at its end."""
+    content = path.read_bytes()
+    moov = content.index(b"moov")
+    at = content.index(b"avc1", content.index(b"stsd", moov)) - 4
     end = at + struct.unpack_from(">I", content, at)[0]
-    grown = bytearray(content[:end] + box + content[end:])
+    grown = bytearray(content[:end] + added + content[end:])
     for name in (b"moov", b"trak", b"mdia", b"minf", b"stbl", b"stsd", b"avc1"):
-        size_at = content.index(name, content.index(b"moov") if name != b"moov" else 0) - 4
-        struct.pack_into(">I", grown, size_at, struct.unpack_from(">I", grown, size_at)[0] + len(box))
+        size_at = content.index(name, moov) - 4
+        struct.pack_into(">I", grown, size_at, struct.unpack_from(">I", grown, size_at)[0] + len(added))
     path.write_bytes(grown)
-    assert open_video(path).stated_layout == layout
+    return path
+
+
+@pytest.mark.parametrize(
+    ("added", "layout"),
+    [
+        # Google's Spherical Video V2: version and flags 0, then 1 = top-bottom, 2 = left-right
+        (box(b"st3d", bytes([0, 0, 0, 0, 1])), "top-bottom"),
+        (box(b"st3d", bytes([0, 0, 0, 0, 2])), "side-by-side"),
+        # Apple's video extended usage: both eyes, packed "side" by side or "over" and under
+        *(
+            (
+                box(
+                    b"vexu",
+                    box(b"eyes", box(b"stri", bytes([0, 0, 0, 0, 3]))) + box(b"pack", box(b"pkin", bytes(4) + kind)),
+                ),
+                layout,
+            )
+            for kind, layout in ((b"side", "side-by-side"), (b"over", "top-bottom"))
+        ),
+    ],
+)
+def test_layouts_in_boxes_of_mp4(tmp_path: Path, added: bytes, layout: str) -> None:
+    grey = [np.full((160, 320, 3), 90, np.uint8)] * 2
+    assert open_video(with_box(write_video(tmp_path / "both.mp4", [grey]), added)).stated_layout == layout
+
+
+def test_second_view_of_spatial_video(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "both.mp4", [LEFT])
+    assert not has_second_view(path)
+    assert has_second_view(with_box(path, box(b"lhvC", bytes([1, 0xF0, 0, 0xFC, 0xCB, 0]))))
+    assert not has_second_view(tmp_path)
 
 
 def test_images_of_one_camera_are_refused(tmp_path: Path) -> None:

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from itertools import islice
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -21,6 +22,7 @@ from track_range.recording.live.live_video import LiveVideo
 from track_range.recording.names import LayoutOption, StereoLayout, files_of
 from track_range.recording.pairs.video_half import image_half
 from track_range.recording.recorded_video import RecordedVideo
+from track_range.recording.telemetry.containers.mp4_boxes import read_movie
 from track_range.stereo.alignment.pair_evidence import PairEvidence
 from track_range.stereo.alignment.pair_finding import find_fault
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -83,6 +85,11 @@ def find_layout(video: RecordedVideo | LiveVideo, given: LayoutOption) -> FoundL
             return FoundLayout(named[-1], "as the file name states")
     if matched := matching_halves(_first_images(video)):
         return matched
+    if any(has_second_view(path) for path in files_of(video.path)[:1]):
+        raise VideoError(
+            f"{video.path}: expected the images of two cameras in one, found spatial video (MV-HEVC), of which only "
+            "the first view can be decoded; convert it to images beside each other, or use --mono."
+        )
     raise VideoError(
         f"{video.path}: expected the images of two cameras in one, found no two halves that match; give the right "
         "video as well, or --stereo-layout side-by-side, right-left, top-bottom, bottom-top or tracks (Python: "
@@ -102,6 +109,16 @@ def mono_notes(video: RecordedVideo | LiveVideo) -> tuple[str, ...]:
         f"road users are counted twice and distances are wrong; use --stereo {video.path} --stereo-layout "
         f"{layout.layout} (Python: stereo_layout).",
     )
+
+
+def has_second_view(path: Path) -> bool:
+    """Whether an MP4 file states a second view in the layers of its HEVC stream (box `lhvC`, ISO/IEC 14496-15)."""
+    if not path.is_file():
+        return False
+    with suppress(OSError), path.open("rb") as file:
+        movie = read_movie(file)
+        return movie is not None and movie.video is not None and b"lhvC" in movie.video.description
+    return False
 
 
 def stereo_tracks(video: RecordedVideo | LiveVideo) -> tuple[int, ...]:
