@@ -305,7 +305,8 @@ def _unit(kind: Kind, given: Quantities, length: float) -> tuple[float, str]:
         return 0.001, "assuming millimetres, MATLAB's default"
     if length <= _VEHICLE:
         wide = "; that is wide: if T counts squares of the board, multiply it by their side" if length > _WIDE_M else ""
-        return 1.0, f"assuming that the square size was given in metres{wide}"
+        of_board = "that the square size was given in metres" if (None, "T") in given.values else "metres"
+        return 1.0, f"assuming {of_board}{wide}"
     if length <= _CENTIMETRES:
         return 1.0, _DOUBT
     unit = 0.001 if length >= _MILLIMETRES or (square is not None and float(square[0]) > _CENTIMETRES) else 0.01

@@ -352,3 +352,11 @@ def test_list_of_cameras(tmp_path):
 def test_wide_baselines_are_noted(tmp_path):
     notes = load_calibration(storage(tmp_path / "a.yml", values(NAMES[0], T * 20)))[1]
     assert any("squares of the board" in note for note in notes)
+
+
+def test_reprojection_matrix_alone(tmp_path):
+    rig, notes = load_calibration(storage(tmp_path / "q.yml", {"Q": rectification()["Q"]}))
+    p1 = rectification()["P1"]
+    assert (rig.left.fx_px, rig.left.cx_px, rig.left.cy_px) == pytest.approx((p1[0, 0], p1[0, 2], p1[1, 2]))
+    assert rig.baseline_m == pytest.approx(BASELINE_M)
+    assert "rectified" in notes[0]

@@ -154,6 +154,10 @@ def quantities_of(content: Mapping[str, Any], source: object) -> Quantities:
         if (numbers := _value(value, quantity, key, source)) is not None:
             named.values[side, quantity] = numbers
             named.names[side, quantity] = key
+    q = named.values.get((None, "Q"))
+    if q is not None and q[14] and q[11] > 0 and not any(quantity in ("K", "fx", "P") for _, quantity in named.values):
+        named.values[None, "K"] = np.array([q[11], q[11], -q[3], -q[7]])  # of the rectified images
+        named.values.setdefault((None, "baseline"), np.array([abs(1.0 / q[14])]))
     for side in {side for side, quantity in named.values if quantity == "P" and side is not None}:
         if (side, "R") in named.values and (side, "T") not in named.values:  # as in camera_info
             named.values.setdefault((side, "rect"), named.values.pop((side, "R")))
