@@ -389,6 +389,16 @@ def test_calibration_of_a_realsense_recorder(tmp_path: Path, images: list[np.nda
     assert any(f"{name}/info/camera_info" in note for note in recording.notes)
 
 
+def test_depth_images_beside_those_of_the_camera(tmp_path: Path, images: list[np.ndarray]) -> None:
+    names = ["/camera/color", "/camera/depth"]
+    bag = write_ros1(tmp_path / "drive.bag", names, images[:2], topic="image_raw", encoding="bgr8")
+    reader = open_video(bag)
+    assert str(reader.path) == str(bag)
+    assert any("depth images (/camera/depth/image_raw) are left out" in note for note in reader.notes)
+    chosen = open_video(BagTopic(bag, "/camera/depth/image_raw"))
+    assert not any("left out" in note for note in chosen.notes)
+
+
 def test_recording_of_a_zed_camera(tmp_path: Path) -> None:
     from mcap.writer import Writer
 

@@ -14,6 +14,7 @@ import pytest
 
 from tests.track_range.recording.bag_writers import write_foxglove
 from tests.track_range.recording.live_servers import cameras
+from track_range.foundation.errors import UsageError
 from track_range.recording.frame import VideoError
 from track_range.recording.names import Half, VideoTrack
 from track_range.recording.open_video import open_video
@@ -302,3 +303,13 @@ def test_settings(tmp_path: Path) -> None:
     again = settings_from({}, tmp_path / "settings.yaml")
     assert (again.stereo, again.stereo_layout) == ((path, path), "side-by-side")
     assert again.out_dir == Path("both-track-range")
+    camera = settings_from({"stereo": "0", "stereo_layout": "side-by-side"})
+    assert camera.has_both_in_one
+    for given in (
+        {"stereo": ("a.mp4", "b.mp4"), "stereo_layout": "tracks"},
+        {"mono": "a.mp4", "stereo_layout": "auto"},
+        {"stereo": "a.mp4", "track": 1},
+        {"stereo": "a.mp4", "stereo_layout": "diagonal"},
+    ):
+        with pytest.raises(UsageError, match=r"layout|track"):
+            settings_from(given)

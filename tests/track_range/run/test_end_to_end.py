@@ -290,7 +290,7 @@ def test_help_names_options_and_commands(track_range, cli):
         assert word in help_text
     assert "--focal-px" in track_range("run", "--help")
     assert "--seed" in track_range("demo", "--help")
-    assert cli("--stereo", "one.mp4").status == 2
+    assert cli("--stereo", "one.mp4", "--stereo-layout", "diagonal").status == 2
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Generator
 
 import numpy as np
@@ -36,6 +37,11 @@ _MAX_LEVELS = 3  # levels above an image topic in which its calibration is searc
 _ZED_ENCODING = "zed_sdk_encoded"  # of the images of .svo2 files
 _CALIBRATION_NAMES = ("camera_info", "calibration", "info/camera_info")  # ends of the names of calibration topics
 """The last one is that of RealSense's recorder: /device_0/sensor_0/Infrared_1/image/data and .../info/camera_info."""
+
+
+def _is_depth(topic: str) -> bool:
+    """Whether a topic has depth images by its name, as those of RealSense, ZED and OAK cameras."""
+    return re.search(r"(^|[/_])(depth|disparity|confidence)([/_]|$)", topic.lower()) is not None
 
 
 class BagVideo(RecordedVideo):
@@ -73,6 +79,11 @@ class BagVideo(RecordedVideo):
         self.n_total = self._topic.n_messages
         self.is_rectified = "rect" in self._topic.name.lower().replace("direct", "")
         self.camera = self._calibration()
+        depth = [
+            topic.name for topic in self._bag.topics.values() if topic.type in IMAGE_TYPES and _is_depth(topic.name)
+        ]
+        if depth and self._topic.name not in depth:
+            self._setup_notes.append(f"{name.path}: depth images ({', '.join(depth)}) are left out.")
 
     @property
     def utc(self) -> UtcStart | None:
@@ -133,6 +144,7 @@ class BagVideo(RecordedVideo):
         name = self.path.topic
         if name is None:
             images = [topic.name for topic in topics.values() if topic.type in IMAGE_TYPES]
+            images = [one for one in images if not _is_depth(one)] or images
             if len(images) != 1:
                 raise VideoError(f"{self.path}: expected --topics with the topics of the images, found {listed}.")
             name = images[0]
