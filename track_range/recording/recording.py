@@ -186,7 +186,7 @@ def open_recording(
     Args:
         left: video file, several files of one recording, folder of such files or of numbered images, camera (0,
             /dev/video0) or stream (rtsp://...).
-        right: the same; None = one camera, or with `stereo_layout` two in one recording, as `right` = `left`.
+        right: the same; None = one camera, or with `stereo_layout` two in one recording.
         rig: calibration file, such as rig.yaml, or one of a camera or of a script; or the models of two cameras, of
             which one video has the left one; None = a file next to `left`, if any.
         focal_px: focal length of cameras without a calibration file.
@@ -224,9 +224,10 @@ def open_recording(
     """
     left, right = _named(video_name(left), None if right is None else video_name(right), topics, track)
     folder_notes: tuple[str, ...] = ()
-    if stereo_layout in (None, "auto") and isinstance(left, Path) and (right == left or stereo_layout):
+    is_one = right == left or (right is None and stereo_layout is not None)
+    if is_one and stereo_layout in (None, "auto") and isinstance(left, Path):
         left, right, folder_notes = _folders_of(left, right)
-    is_packed = right == left or (right is None and stereo_layout is not None)
+    is_packed = is_one and stereo_layout is not None and right in (None, left)
     utc = None if start_utc is None else parsed_utc(start_utc)
 
     def opened(name: VideoName, beside: Video | None = None) -> Video:

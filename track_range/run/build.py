@@ -55,7 +55,7 @@ def open_input(settings: RunSettings, progress: StepProgress = no_progress, rig:
         bayer=settings.bayer,
         start_utc=settings.start_utc,
         topics=settings.topics,
-        stereo_layout=settings.stereo_layout,
+        stereo_layout=(settings.stereo_layout or "auto") if settings.has_both_in_one else None,
         track=settings.track,
         progress=progress,
     )

@@ -127,7 +127,7 @@ def test_frames_of_a_folder_are_those_of_two(tmp_path: Path, two: list[Frame], l
 
 def test_part_of_a_recording(tmp_path: Path, two: list[Frame]) -> None:
     folder = write_folder(tmp_path / "both", packed("side-by-side"))
-    (frame,) = frames_of(folder, folder, start_s=0.1, duration_s=0.1)
+    (frame,) = frames_of(folder, folder, stereo_layout="auto", start_s=0.1, duration_s=0.1)
     assert (frame.index, frame.time_s) == (1, pytest.approx(0.1))
     assert np.array_equal(frame.left, two[1].left)
 
