@@ -194,7 +194,7 @@ def test_undistorted_image_is_not_copied() -> None:
         (StereoRig(LEFT, RIGHT, motion((0, 0, 0), (-0.05, 0.4, 0))), "side by side"),
         (StereoRig(LEFT, RIGHT, motion((0, 0, np.pi - 0.01), (-0.4, 0, 0))), "179 degrees"),
         (StereoRig(LEFT, RIGHT, motion((0, 2.0, 0), (-0.4, 0, 0))), "115 degrees"),
-        (StereoRig(LEFT, RIGHT, motion((0, 0, 0), (-0.1, 0, 0.4))), "76 degrees"),
+        (StereoRig(LEFT, RIGHT, motion((0, 0, 0), (-0.1, 0, 0.4))), "one behind the other"),
         (StereoRig(LEFT, RIGHT, motion((0, 0, 0), (0.4, 0, 0))), "swap"),
         (StereoRig(LEFT, RIGHT, motion((0, 0, 0), (-400.0, 0, 0))), "metres"),
     ],

@@ -92,8 +92,8 @@ class CalibrationSettings(Options):
     board: Annotated[
         str | None,
         option(
-            "Board: COLUMNSxROWS inner corners of a chessboard, such as 9x6, or a ChArUco board with COLUMNSxROWS "
-            "squares, charuco:COLUMNSxROWS:SQUARE_MM:MARKER_MM[:DICTIONARY].",
+            "Board: MxN inner corners of a chessboard, in a row and in a column, such as 9x6, or a ChArUco board with "
+            "MxN squares, charuco:MxN:SQUARE_MM:MARKER_MM[:DICTIONARY].",
             metavar="BOARD",
         ),
     ] = None

@@ -60,7 +60,7 @@ def n_frames_of(video):
 
 def test_all_files_are_complete(simulated_run):
     out, _, _ = simulated_run
-    rows = {"tracks.csv", "mot.txt", "tracks.parquet", "events.csv", "events.parquet"}
+    rows = {"tracks.csv", "mot.txt", "tracks.parquet", "events.csv", "events.parquet", "poses.csv"}
     names = {"summary.json", "settings.yaml", "overlay.mp4", "report.html"}
     assert {file.name for file in out.iterdir()} == rows | names
     assert n_frames_of(out / "overlay.mp4") == 16

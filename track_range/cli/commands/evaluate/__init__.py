@@ -46,7 +46,7 @@ app = lazy_app(
             "Measured from labelled boxes of drives with poses, without a video. An answer counts where the sigma of "
             "the speed is below 1.5 m/s; each alarm on a drive without a contact is a false alarm.",
             (
-                "track-range evaluate motion --labels label_02/ --calib calib/ --poses poses/ --noise-px 2",
+                "track-range evaluate motion --labels label_02/ --calib calib/ --poses poses/",
                 "track-range evaluate motion --labels label_02/ --calib calib/ --poses poses/ \\\n"
                 "      --boxes rrc:detections --json motion.json",
             ),
