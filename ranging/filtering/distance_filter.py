@@ -278,6 +278,7 @@ class DistanceFilters:
             joins = joins & models.is_static
             v, P_dv = np.where(joins, -ego_mps, v), np.where(joins, 0.0, P_dv)
             P_vv = np.where(joins, static_mps**2, P_vv)
+            key = key._replace(P_vr=np.where(joins, 0.0, key.P_vr))
 
         # A change of condition: the step may be as large as the old and the new systematic error together.
         condition, is_changed = last.condition, np.zeros(d.shape, np.bool_)

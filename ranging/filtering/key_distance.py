@@ -55,7 +55,8 @@ class KeyDistance(NamedTuple):
     ) -> tuple[ConstantVelocity, KeyDistance, FloatArray, FloatArray]:
         """Both states after the growth, and its innovation in m, NaN = not measured, with its variance.
 
-        Measurements beyond `outlier_sigma` standard deviations are down-weighted.
+        Measurements beyond `outlier_sigma` standard deviations are down-weighted. Where the covariance would not be
+        positive, since distances far apart are not linear, the key frame is given up instead.
         """
         d, c = state.x, state.x / self.r
         nu = d * (growth.log_ratio - np.log(self.r / d))
@@ -76,7 +77,10 @@ class KeyDistance(NamedTuple):
             P_vv=state.P_vv - K_v * H_v,
         )
         key = KeyDistance(self.r + K_r * nu, self.P_dr - K_d * H_r, self.P_vr - K_v * H_r, self.P_rr - K_r * H_r)
-        return grown, key, innovation, variance
+        is_lost = (grown.P_xx <= 0) | (grown.P_vv <= 0) | (grown.P_xx * grown.P_vv < grown.P_xv**2) | (key.P_rr <= 0)
+        is_lost &= valid
+        grown = ConstantVelocity(*(np.where(is_lost, *pair) for pair in zip(state.columns, grown.columns, strict=True)))
+        return grown, key._replace(r=np.where(is_lost, np.nan, key.r)), innovation, variance
 
     def started(self, state: ConstantVelocity, is_key: BoolArray) -> KeyDistance:
         """The state with copies of the distances where this frame becomes the key frame."""

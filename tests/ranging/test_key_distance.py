@@ -124,3 +124,17 @@ def test_without_a_key_frame_nothing_changes():
     assert np.isnan(key.r).all()
     started = key.started(state, np.array([True]))
     assert np.ravel(started) == pytest.approx([50.0, 4.0, 1.0, 4.0])
+
+
+def test_a_key_frame_whose_covariance_is_impossible_is_given_up():
+    """Correlations above 1, as rounding and steps far from linear leave them: the state stays as it was."""
+    state = ConstantVelocity(*(np.array([[value]]) for value in (30.0, -6.0, 10.0, 0.0, 1.0)))
+    key = KeyDistance(*(np.array([[value]]) for value in (60.0, 12.0, 20.0, 40.0)))
+    grown, given_up, *_ = key.grown(state, growth(0.9, 0.003), valid=YES, outlier_sigma=3.0)
+    assert np.array_equal(grown.columns, state.columns)
+    assert np.isnan(given_up.r).all()
+    key = key._replace(P_vr=np.array([[2.0]]))
+    grown, kept, *_ = key.grown(state, growth(0.9, 0.003), valid=YES, outlier_sigma=3.0)
+    assert 0 < grown.P_xx.item() < 10
+    assert 0 < grown.P_vv.item() <= 1
+    assert np.isfinite(kept.r).all()
