@@ -16,7 +16,8 @@ Every unknown has a prior: a that of the region, h a usual or the given height, 
 and receivers. Because they are estimated together, a scale learnt from one of them cannot correct another in circles.
 One hypothesis is that all priors hold; in each of the others one unknown is a mistake and has no prior. Something is in
 doubt if such a hypothesis fits better by `_DOUBTFUL`, the 3 sigma of one free parameter; all that fit nearly as well
-are named. A usual height and a usual lane have heavy tails, and alone excludes nothing: there are lorries and robots.
+are named, weighed by how common such a mistake is (`prior_cost`). A usual height and a usual lane have heavy tails, and
+alone exclude nothing: there are lorries and robots.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ import numpy as np
 from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.track_state import TrackState
-from track_range.ranging.doubt.scale_doubt import SHOWN_SIGMA, Agreement, Cause, Evidence, ScaleDoubt, unlikelihood
+from track_range.ranging.doubt.scale_doubt import SHOWN_SIGMA, Agreement, Cause, Evidence, ScaleDoubt, prior_cost
 from track_range.ranging.doubt.shape_check import ShapeCheck
 from track_range.ranging.methods.lane_width import LaneWidth
 from track_range.ranging.ranges import Ranges
@@ -274,12 +275,12 @@ class ScaleCheck:
             if {_RIG: self.baseline_m is not None, _HEIGHT: self._has_height, _SPEED: bool(self._given_sigmas)}.get(
                 unknown, True
             ):
-                fits.append((chi2 + unlikelihood(cause, factor, sigma), cause, factor, sigma, chi2))
+                fits.append((chi2 + prior_cost(cause, factor, sigma), cause, factor, sigma, chi2))
         if right.chi2 - min(chi2 for *_, chi2 in fits) < (_DOUBTFUL if self.doubt is None else _RESOLVED):
             return None
         fits.sort()
-        _, _, factor, sigma, _ = fits[0]
-        near = tuple((cause, value) for priced, cause, value, *_ in fits if priced < fits[0][0] + _NEARLY)
+        least, _, factor, sigma, _ = fits[0]
+        near = tuple((cause, value) for cost, cause, value, *_ in fits if cost < least + _NEARLY)
         return ScaleDoubt(factor, sigma, n_objects, near, names)
 
     def _fitted(self, evidence: list[Evidence], priors: FloatArray) -> _Solution:

@@ -72,9 +72,12 @@ def known_mistakes(cause: Cause, factor: float, sigma: float) -> list[str]:
     return [text for of, value, text in _MISTAKES if of == cause and abs(math.log(value / factor)) < 2 * sigma]
 
 
-def unlikelihood(cause: Cause, factor: float, sigma: float) -> float:
-    """-2 log of the prior of a factor (relative to its width): of a known mistake, or of any factor."""
-    any_factor = 0.0 if cause == "baseline" else max(0.0, -2 * math.log(2.5 * sigma))  # uniform over 1 in its logarithm
+def prior_cost(cause: Cause, factor: float, sigma: float) -> float:
+    """-2 log of the prior of a mistake with this factor: a known one, or any, uniform over 1 in its logarithm.
+
+    Baselines may have any factor at no cost: boards have squares of all sizes.
+    """
+    any_factor = 0.0 if cause == "baseline" else max(0.0, -2 * math.log(math.sqrt(2 * math.pi) * sigma))
     return min([any_factor, *((math.log(value / factor) / sigma) ** 2 for of, value, _ in _MISTAKES if of == cause)])
 
 
