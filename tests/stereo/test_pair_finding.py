@@ -12,6 +12,7 @@ import pytest
 
 from track_range.foundation.arrays import Image
 from track_range.recording.pairs.pair_monitor import PairMonitor
+from track_range.recording.recording import open_recording
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
 from track_range.simulation.world.scene import make_scene
 from track_range.stereo.alignment.pair_evidence import PairEvidence
@@ -121,6 +122,22 @@ def test_the_first_motion_after_a_stop_is_checked_again(offset_px: float, fault:
         monitor.add(Frame(number, number / 10, left, right))
     assert monitor.finding.fault == fault
     assert ("px too large" in monitor.finding.sentence) == (fault == "verged")
+
+
+@pytest.mark.slow
+def test_recordings_go_on_without_stereo_where_the_first_motion_contradicts_the_rig(tmp_path: Path) -> None:
+    pairs = [(left, shifted(right, -30.0)) for left, right in of_drive()]
+    shown = [pairs[0]] * 90 + (pairs + pairs[-2:0:-1]) * 3  # 9 s at rest
+    for side, name in enumerate(("left", "right")):
+        (tmp_path / name).mkdir()
+        for number, pair in enumerate(shown):
+            cv2.imwrite(str(tmp_path / name / f"{number:06d}.png"), pair[side])
+    recording = open_recording(tmp_path / "left", tmp_path / "right", rig=RIG)
+    has_stereo = [frame.right is not None for frame in recording.frames]
+    assert all(has_stereo[:90])
+    assert not any(has_stereo[115:])
+    (note,) = [note for note in recording.notes if "px too large" in note]
+    assert "not seen before the vehicle moved" in note
 
 
 @pytest.mark.slow
