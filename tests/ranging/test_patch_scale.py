@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.ranging.patch_scale import PatchScales
+from track_range.ranging.methods.patch_scale import PatchScales
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.tracking.tracks import Tracks
 

@@ -25,7 +25,6 @@ BANDS: Mapping[str, tuple[float, float]] = {"10-40": (10.0, 40.0), "40-80": (40.
 MAX_SIGMA_MPS = 1.5  # largest sigma of an answer
 _TTC_LIMIT_S = 20.0  # to which measured times are clipped
 _STEP_S = 0.1  # interval of the size ratio s
-_MIN_CLOSING_MPS = 0.3  # smallest true closing speed of objects that approach
 
 SCALE_ERROR, CLOSING_ERROR_MPS, PATH_HALF_WIDTH_M = 0.1, 1.5, 2.0
 """Cause of a false alarm: relative error of the distance, error of the closing speed, and lateral offset at which the
