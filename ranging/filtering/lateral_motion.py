@@ -14,14 +14,6 @@ inner one of an object beside the axis at up to d + L, since the box of a parked
 
 A box that is truncated at the left or right image border is not a measurement: the bearing of its visible part stays
 constant while the object passes, as on a collision course.
-
-At the time to collision T the object passes the camera at the lateral offset (`passing_offsets`)
-
-    o = x + u T,    var o = P_xx + 2 T P_xu + T^2 P_uu + (a T^2 / 2)^2
-
-where a is the standard deviation of the lateral acceleration until then. At constant bearing o = 0. A track is on a
-collision course unless |o| exceeds the sum of half the box width, half the width of the ego vehicle and one standard
-deviation.
 """
 
 from __future__ import annotations
@@ -39,8 +31,6 @@ from track_range.foundation.track_state import TrackState
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.tracking.tracks import Tracks
 
-EGO_HALF_WIDTH_M = 0.9  # half the width of the ego vehicle in m, of a typical passenger car
-_LATERAL_ACCELERATION_MPS2 = 0.25  # a, tuned on simulated drives; a lane change reaches twice as much
 _INITIAL_RATE_SIGMA_MPS = 5.0  # standard deviation of u for a new track: lateral speed of a runner, or of a car in town
 _ACCELERATION_NOISE = 0.7  # random walk of u in m/s per square root of a second, tuned on simulated drives
 _CENTRE_SIGMA_PX, _CENTRE_SIGMA_FRACTION = 1.0, 0.02  # of a box centre: px, plus a fraction of the box width
@@ -84,26 +74,6 @@ class LateralMotion:
 
     state: ConstantVelocity  # x in m, positive = right, and u in m/s, (N,) each; NaN = unknown
     half_width_m: FloatArray  # (N,) half the width of the object, from its current box; NaN = unknown distance
-
-
-@dataclass(frozen=True, slots=True)
-class PassingOffsets:
-    """Lateral offsets at which tracks will pass the camera, (N,) each; NaN = unknown."""
-
-    lateral_offset_m: FloatArray  # offset o of the object's centre, positive = right of the camera
-    sigma_m: FloatArray  # its standard deviation
-    half_width_m: FloatArray  # half the width of the object, from its current box
-    may_hit: BoolArray  # False if the object will pass the ego vehicle; True also if that is unknown
-
-
-def passing_offsets(motion: LateralMotion, ttc_s: FloatArray) -> PassingOffsets:
-    """Offsets o of N tracks at their times to collision (N,); NaN = not closing, the offset is then NaN too."""
-    state, T, a = motion.state, ttc_s, _LATERAL_ACCELERATION_MPS2
-    offset_m = state.x + T * state.v
-    variance = state.P_xx + T * (2 * state.P_xv + T * state.P_vv)
-    sigma_m = np.sqrt(variance + (a * T**2 / 2) ** 2)
-    passes = np.abs(offset_m) > EGO_HALF_WIDTH_M + motion.half_width_m + sigma_m  # False for NaN
-    return PassingOffsets(offset_m, sigma_m, motion.half_width_m, ~passes)
 
 
 class _LateralState(NamedTuple):

@@ -49,10 +49,8 @@ def track_colour(track_id: int) -> Bgr:
     return PALETTE[track_id % len(PALETTE)]
 
 
-def alarm_colour(ttc_s: float, *, may_hit: bool = True) -> Bgr | None:
-    """Red below 2 s to collision, amber below 4 s, else None (also for NaN); None for objects that will pass by."""
-    if not may_hit:
-        return None
+def alarm_colour(ttc_s: float) -> Bgr | None:
+    """Red below 2 s to collision, amber below 4 s, else None (also for NaN)."""
     if ttc_s < TTC_RED_S:
         return RED
     return AMBER if ttc_s < TTC_AMBER_S else None
@@ -64,7 +62,7 @@ def warning_colour(result: FrameResult, row: int) -> Bgr | None:
     Results without warnings have the colours of their times to collision.
     """
     if result.warnings is None:
-        return alarm_colour(float(result.ttc_s[row]), may_hit=result.may_hit(row))
+        return alarm_colour(float(result.ttc_s[row]))
     if result.warnings.active[row]:
         return RED
     return AMBER if result.warnings.probability[row] >= AMBER_PROBABILITY else None

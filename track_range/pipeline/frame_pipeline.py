@@ -12,7 +12,6 @@ from track_range.pipeline.stages import Detected, DetectionStage, EgoStage, Fusi
 from track_range.pipeline.throughput import StageClock
 from track_range.ranging.doubt.scale_check import ScaleCheck
 from track_range.ranging.doubt.scale_doubt import Cause, ScaleDoubt, causes_of
-from track_range.ranging.filtering.lateral_motion import passing_offsets
 from track_range.ranging.registry import methods
 from track_range.ranging.size_models.drive_scale import DriveScale
 from track_range.ranging.warning.collision_warning import CollisionWarning
@@ -156,7 +155,6 @@ class FramePipeline:
                 xyz_m=self.camera.rays(centre_px) * ranges["fused"].distance_m[:, None],
                 disparity=self.ranging.disparity,
                 lanes=lanes,
-                misses=passing_offsets(lateral, motion.ttc_s),
                 warnings=warnings,
                 candidates=candidates,
                 ego_mps=ego_mps,

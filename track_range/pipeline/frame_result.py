@@ -14,7 +14,6 @@ from track_range.detection.detections import Detections
 from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.ranging.doubt.scale_doubt import ScaleDoubt
-from track_range.ranging.filtering.lateral_motion import PassingOffsets
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.warning.safety import SafetyMeasures
 from track_range.ranging.warning.warnings import Warnings
@@ -82,7 +81,6 @@ class FrameResult:
         disparity: (H, W) disparities in px, NaN = unknown; None if dense stereo did not run.
         lanes: lines of the ego lane; None if no lane detector ran.
         candidates: all detections of the frame, of all classes and with low scores; None = not needed.
-        misses: lateral offset of each track at its time to collision; None if it was not estimated.
         ego_mps: speed of the camera along its axis in m/s, negative = backwards; NaN = unknown.
         ego_sigma_mps: its standard deviation; NaN = unknown.
         warnings: probability of contact and alarm of each track; None if they were not estimated.
@@ -102,7 +100,6 @@ class FrameResult:
     xyz_m: FloatArray
     disparity: npt.NDArray[np.float32] | None = None
     lanes: LaneLines | None = None
-    misses: PassingOffsets | None = None
     candidates: Detections | None = None
     ego_mps: float = math.nan
     ego_sigma_mps: float = math.nan
@@ -172,7 +169,3 @@ class FrameResult:
     def utc_s(self) -> float:
         """Seconds since 1970-01-01 00:00 UTC; NaN = unknown."""
         return self.frame.utc_s
-
-    def may_hit(self, row: int) -> bool:
-        """False if the track in this row is known to pass by the camera without a collision."""
-        return self.misses is None or bool(self.misses.may_hit[row])

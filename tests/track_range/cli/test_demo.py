@@ -7,7 +7,7 @@ from track_range.cli.commands.demo import accuracy_lines, track_grid
 
 
 def rows(*values):
-    names = ("time_s", "track_id", "class", "observed", "fused_kf_m", "closing_mps", "ttc_s")
+    names = ("time_s", "track_id", "class", "observed", "fused_kf_m", "closing_mps", "ttc_front_s")
     return pa.table({name: [row[k] for row in values] for k, name in enumerate(names)})
 
 

@@ -46,7 +46,7 @@ class ExactRanger(Ranger):
         return Ranges(tracks.track_id, z_m_at(frame.time_s), np.full(2, 0.3))
 
 
-def test_car_ahead_may_hit_and_oncoming_car_passes() -> None:
+def test_car_ahead_has_a_time_to_collision_and_oncoming_car_passes() -> None:
     pipeline = FramePipeline(
         camera=CAMERA,
         detection=DetectionStage(detect=detect),
@@ -56,7 +56,10 @@ def test_car_ahead_may_hit_and_oncoming_car_passes() -> None:
     results: list[FrameResult] = list(run_in_threads(pipeline, (Frame(i, i / 10, IMAGE, None) for i in range(20))))
     last = results[-1]
     assert (last.ttc_s < 2).all()
-    assert [last.may_hit(row) for row in range(2)] == [True, False]
-    assert last.misses is not None
-    np.testing.assert_allclose(last.misses.lateral_offset_m, X_M, atol=0.3)
-    assert all(result.may_hit(0) for result in results)
+    assert last.warnings is not None
+    assert last.safety is not None
+    np.testing.assert_allclose(last.warnings.path_offset_m, X_M, atol=0.3)
+    np.testing.assert_allclose(last.safety.ttc_front_s, [(z_m_at(1.9)[0] - 1.5) / 10.0, np.nan], atol=0.1)
+    known = [result.safety for result in results[5:] if result.safety is not None]
+    assert len(known) == 15
+    assert all(np.isfinite(safety.ttc_front_s[0]) and np.isnan(safety.ttc_front_s[1]) for safety in known)

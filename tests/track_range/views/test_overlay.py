@@ -10,16 +10,15 @@ import numpy as np
 import pytest
 
 from tests.track_range.views.overlay_results import BOX, HEIGHT, WIDTH, grey, painted, result
+from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.lanes.lines import LaneLine, LaneLines
-from track_range.pipeline.colours import CALM, LANE_COLOUR, PALETTE, RED, alarm_colour, track_colour
-from track_range.ranging.filtering.lateral_motion import PassingOffsets
+from track_range.pipeline.colours import LANE_COLOUR, PALETTE, RED, track_colour
+from track_range.ranging.warning.safety import SafetyMeasures
+from track_range.ranging.warning.warnings import Warnings
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rectification import Undistorter
 from track_range.views.overlay.annotator import Overlay
-from track_range.views.overlay.labels import (
-    closing_span,
-    shown_name,
-)
+from track_range.views.overlay.labels import label_lines, shown_name
 
 
 def test_frame_is_not_modified() -> None:
@@ -96,23 +95,25 @@ def test_frame_without_tracks() -> None:
     assert changed[300, 60]  # bird's-eye view
 
 
-def passing(*may_hit: bool) -> PassingOffsets:
-    nan = np.full(len(may_hit), np.nan)
-    return PassingOffsets(nan, nan, nan, np.array(may_hit))
-
-
-def test_passing_track_is_not_red() -> None:
-    beside = closing_span(20.5, 0.7, 11, may_hit=False)
-    assert beside is not None
-    assert (beside.text, beside.filled, beside.fill) == ("passes in 0.7 s  closing 20.5 m/s", 0.0, CALM)
-    assert alarm_colour(0.7, may_hit=False) is None
-    urgent = {"closing": (20.5, 0.7), "xyz_m": np.array([[0.0, 0.0, 14.0]])}
-    n_red = [
-        painted(Overlay().draw(result([BOX], misses=misses, **urgent)), RED).sum()
-        for misses in (None, passing(True), passing(False))
-    ]
-    assert n_red[0] == n_red[1] > 500
-    assert n_red[2] == 0
+@pytest.mark.parametrize(
+    ("ttc_front_s", "offset_m", "probability", "text"),
+    [
+        (0.6, 1.0, 0.1, "TTC 0.6 s  closing 20.5 m/s"),
+        (np.nan, 1.7, 0.1, "closing 20.5 m/s"),  # its edge and that of the path, 1.8 m wide each, overlap
+        (np.nan, 1.9, 0.1, "passes in 0.7 s  closing 20.5 m/s"),
+        (np.nan, -1.9, 0.3, "closing 20.5 m/s"),  # a contact is possible
+        (np.nan, np.nan, 0.1, "closing 20.5 m/s"),
+    ],
+)
+def test_time_to_collision_is_that_of_the_front_on_a_collision_course(
+    ttc_front_s: float, offset_m: float, probability: float, text: str
+) -> None:
+    safety = replace(SafetyMeasures.unknown(1), ttc_front_s=np.array([ttc_front_s]))
+    warnings = Warnings(np.array([probability]), np.zeros(1, np.bool_), np.array([offset_m]))
+    shown = result([BOX], closing=(20.5, 0.7), safety=safety, warnings=warnings)
+    [span] = label_lines(shown, 0, class_names=ROAD_CLASSES, sizes_px=(16, 11))[-1]
+    assert span.text == text
+    assert (span.filled > 0) == text.startswith("TTC")
 
 
 def test_urgent_track_is_red() -> None:

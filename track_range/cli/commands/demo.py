@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _EXTREMES = (  # heading, column and aggregate of the rows of a class
     ("nearest m", "fused_kf_m", "min"),
     ("fastest closing m/s", "closing_mps", "max"),
-    ("shortest TTC s", "ttc_s", "min"),
+    ("shortest TTC s", "ttc_front_s", "min"),
 )
 
 SCENARIO = "crossing"  # the camera's car stops for people and a cyclist, who stay visible for several seconds
@@ -85,7 +85,7 @@ def _print_screen(run: Run, console: Console) -> None:
 
 
 def track_grid(rows: pa.Table) -> Grid:
-    """One row per class: tracks, the longest one, smallest distance and time to collision, of observed boxes only."""
+    """One row per class of observed boxes: tracks, the longest one, smallest distance and TTC of the front."""
     if not len(rows):
         return grid_of("Tracks found", "class", [], [])
     observed = rows.filter(rows["observed"])

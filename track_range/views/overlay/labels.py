@@ -2,9 +2,9 @@
 
 +------------------------+   fused distance (large) and its sigma, class and track ID in the colour of the track;
 | 22.4 m ±0.7   car 12   |   distance by each method, after its letter in the registry;
-| M 23.1  S 22.4  G 22.0 |   for a closing object time to collision and closing speed, on a bar that fills as the time
-|#TTC 3.6 s##closing 6.2 |   decreases, amber or red if urgent; "passes in" without a bar if it will pass by. The text
-+------------------------+   has another colour on the filled part of the bar.
+| M 23.1  S 22.4  G 22.0 |   for a closing object time to collision of the front and closing speed, on a bar that fills
+|#TTC 3.6 s##closing 6.2 |   as the time decreases, amber or red if urgent; "passes in" without a bar if it passes by.
++------------------------+   The text has another colour on the filled part of the bar.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from track_range.foundation.arrays import FloatArray, Image
 from track_range.pipeline.colours import AMBER, BLACK, CALM, GREY, WHITE, Bgr, track_colour, warning_colour
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.registry import methods
+from track_range.ranging.warning.safety import apart_m
 
 CLOSING_SHOWN_MPS = 0.5
 """Smallest closing speed that is shown, in m/s; slower ones are within the noise of the distance filter."""
@@ -103,28 +104,28 @@ def label_lines(result: FrameResult, row: int, *, class_names: Sequence[str], si
     ]
     if figures:
         lines.append([Span("  ".join(figures), small_px, REGULAR, GREY)])
-    ttc_s, may_hit = float(result.ttc_s[row]), result.may_hit(row)
-    if result.safety is not None:  # a time to collision is that of the front; others pass, or have a speed alone
-        front_s = float(result.safety.ttc_front_s[row])
-        ttc_s, may_hit = (front_s, True) if may_hit or math.isfinite(front_s) else (ttc_s, False)
-    alarm = warning_colour(result, row)
-    closing = closing_span(float(result.closing_mps[row]), ttc_s, small_px, alarm=alarm, may_hit=may_hit)
+    alarm, warnings = warning_colour(result, row), result.warnings
+    ttc_s, passes = float((result.ttc_s if result.safety is None else result.safety.ttc_front_s)[row]), False
+    if math.isnan(ttc_s) and alarm is None and warnings is not None:  # no contact is possible
+        passes = bool(apart_m(warnings.path_offset_m, result.tracks.class_id)[row] > 0)
+        ttc_s = float(result.ttc_s[row]) if passes else ttc_s
+    closing = closing_span(float(result.closing_mps[row]), ttc_s, small_px, alarm=alarm, passes=passes)
     return [*lines, [closing]] if closing else lines
 
 
 def closing_span(
-    closing_mps: float, ttc_s: float, size_px: int, *, alarm: Bgr | None = None, may_hit: bool = True
+    closing_mps: float, ttc_s: float, size_px: int, *, alarm: Bgr | None = None, passes: bool = False
 ) -> Span | None:
     """Time to collision (NaN = unknown) and closing speed on a bar; None for objects that do not approach.
 
-    `alarm` is the colour of the bar of a marked track, amber or red; objects that will pass by (`may_hit` False) have
-    no bar.
+    `alarm` is the colour of the bar of a marked track, amber or red; objects that will pass by (`passes`) have no bar,
+    and their time is that until they are beside the camera.
     """
     if not closing_mps > CLOSING_SHOWN_MPS:
         return None
     speed = f"closing {closing_mps:.1f} m/s"
-    text = f"{'TTC' if may_hit else 'passes in'} {ttc_s:.1f} s  {speed}" if ttc_s < TTC_SHOWN_S else speed
-    filled = min(1.0, 1 - ttc_s / BAR_S) if may_hit and ttc_s < BAR_S else 0.0
+    text = f"{'passes in' if passes else 'TTC'} {ttc_s:.1f} s  {speed}" if ttc_s < TTC_SHOWN_S else speed
+    filled = min(1.0, 1 - ttc_s / BAR_S) if ttc_s < BAR_S and not passes else 0.0
     return Span(text, size_px, REGULAR if alarm is None else BOLD, WHITE, alarm or CALM, filled)
 
 

@@ -42,13 +42,7 @@ from track_range.views.report.comparison import (
 from track_range.views.report.content.drive_map import drive_map
 from track_range.views.report.content.errors import calibration_curves, error_curves
 from track_range.views.report.content.events import clips_of, event_records, hidden_events_note, shown_events
-from track_range.views.report.content.road import (
-    box_columns,
-    camera_of_rows,
-    collision_columns,
-    road_columns,
-    uncalibrated_video,
-)
+from track_range.views.report.content.road import box_columns, camera_of_rows, road_columns, uncalibrated_video
 from track_range.views.report.content.series import timeline, track_records
 from track_range.views.report.sentences import (
     address,
@@ -113,7 +107,6 @@ def report_page(
 ) -> str:
     """HTML of the report of a run; `events` and `poses`: see `write_report`; `clips`: addresses by file name."""
     columns = {**columns, **road_columns(columns), **box_columns(columns, summary)}
-    columns |= collision_columns(columns)
     tracks = summary.get("tracks") or {}
     overlay = (summary.get("files") or {}).get("overlay")
     shown = None if events is None else shown_events(events)

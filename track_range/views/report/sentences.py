@@ -21,11 +21,11 @@ from track_range.results.events.event import Event
 from track_range.stereo.alignment.model import MAX_ROW_OFFSET_PX
 from track_range.views.report import tables
 from track_range.views.report.content.events import kind_counts, object_words, sigma_words, time_words
-from track_range.views.report.content.road import STATIC_CLASSES, collision_columns
 from track_range.views.report.content.series import column
 from track_range.views.report.tables import Summary
 
 _FAR_M = 50.0  # distance in metres at which the effect of the remaining disparity error is given
+STATIC_CLASSES = ("traffic light", "traffic sign")  # classes that are not road users
 _MIN_PROBABILITY = 0.25  # smallest probability of contact of a headline, as of the amber marks in the overlay
 
 
@@ -102,7 +102,7 @@ def _nearest_headline(columns: Columns, is_user: BoolArray) -> dict[str, Any]:
 
 def _collision_headline(columns: Columns, is_user: BoolArray) -> dict[str, Any]:
     """Shortest time to collision; without one, the largest probability of contact."""
-    ttc_s = collision_columns(columns)["collision_s"]
+    ttc_s = column(columns, "ttc_front_s")
     rows = np.flatnonzero(is_user & np.isfinite(ttc_s))
     if len(rows):
         row = int(rows[np.argmin(ttc_s[rows])])

@@ -163,8 +163,8 @@ def test_small_sigmas_are_not_zero(sigma_m: float, words: str) -> None:
 
 def test_headlines_of_events() -> None:
     columns = {**rows((1, 300.0)), "observed": np.ones(40), "fused_m": 20.0 - np.arange(40) / 10}
-    columns |= {"ttc_s": np.full(40, np.nan), "fused_sigma_m": np.full(40, 0.5)}
-    columns["ttc_s"][7] = 2.5
+    columns |= {"ttc_front_s": np.full(40, np.nan), "fused_sigma_m": np.full(40, 0.5), "ttc_s": np.full(40, 1.0)}
+    columns["ttc_front_s"][7] = 2.5
     first, nearest, collision = headlines(columns, [event(), event(kind="forward_collision", warning_s=1.5)])
     assert (first["figure"], first["time_s"]) == ("1 warning", 1.5)
     assert nearest == {

@@ -50,7 +50,9 @@ def test_packing_round_trip(values: list[float]) -> None:
 
 def test_track_record() -> None:
     truth_m = np.array([40.0, np.nan, 48.0])
-    columns = drive(3, truth_m=truth_m, ttc_s=np.array([9.0, 7.5, np.nan]), closing_mps=np.array([np.nan, 1.25, 3.0]))
+    columns = drive(
+        3, truth_m=truth_m, ttc_front_s=np.array([9.0, 7.5, np.nan]), closing_mps=np.array([np.nan, 1.25, 3.0])
+    )
     columns |= {"observed": np.array([1.0, 0.0, 1.0]), "class": np.array(["van", "car", "car"])}
     assert list(track_records(columns)) == [
         {

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from track_range.views.report.content.road import camera_of_rows, is_on_course, road_columns
+from track_range.views.report.content.road import camera_of_rows, road_columns
 from track_range.views.report.content.series import MAX_BINS, timeline
 
 F_PX, CX_PX = 1000.0, 600.0
@@ -58,7 +58,6 @@ def test_constant_bearing_is_collision_course() -> None:
     road = road_columns(rows(z_m, 0.05 * z_m + 1e-3 * np.arange(30)))
     assert np.isnan(road["passing"][:3]).all()  # too few positions
     assert road["passing"][-1] == pytest.approx(0.03, abs=0.2)
-    assert is_on_course({**rows(z_m, 0.05 * z_m), **road})[-1]
     assert 0 < road["passing_sigma"][-1] < 1
 
 
@@ -67,7 +66,6 @@ def test_parallel_lane_is_no_collision_course() -> None:
     columns = rows(z_m, np.full(30, -3.5))
     columns |= road_columns(columns)
     assert columns["passing"][-1] == pytest.approx(-3.5, abs=0.01)
-    assert not is_on_course(columns).any()
     assert columns["box_width"] == pytest.approx(1.8)
 
 
@@ -92,11 +90,6 @@ def test_predicted_boxes_are_no_positions() -> None:
     passing = road_columns(rows(z_m, np.linspace(-3, 3, 30), observed=observed))["passing"]
     assert np.isfinite(passing[9])
     assert np.isnan(passing[25:]).all()
-
-
-def test_probability_of_contact_decides() -> None:
-    columns = rows(40.0 - np.arange(4), np.zeros(4), contact_probability=np.array([0.1, 0.6, np.nan, 0.5]))
-    assert is_on_course(columns).tolist() == [False, True, False, True]
 
 
 def test_timeline_counts_road_users() -> None:

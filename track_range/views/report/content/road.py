@@ -25,19 +25,13 @@ from track_range.results.columns import Columns, boxes_px
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.views.report.content.series import column, rows_by_track
 
-EGO_HALF_WIDTH_M = 0.9
-"""Half the width of the ego vehicle in m, of a typical passenger car; as in `ranging`'s collision course."""
-
 COURSE_S = 8.0  # longest time to collision in s of the courses that the page contains; it draws the next 4 s
 WINDOW_S = 0.8  # duration in s of the positions from which a course is computed: at least eight frames at 10 Hz
 
 FILTERED_WINDOW_S = 0.5
 """The same for the offsets of the collision warning in s, which are filtered: their slope is the lateral speed."""
 
-_LIKELY = 0.5  # smallest probability of contact of an object that is more likely to hit than to pass
 _MIN_POSITIONS = 4  # of a course
-_MIN_SIGNIFICANCE = 2.0  # smallest closing speed of a time to collision, in its standard deviations
-STATIC_CLASSES = ("traffic light", "traffic sign")  # classes that are not road users
 
 _LATERAL_ACCELERATION_MPS2 = 0.25
 """Standard deviation a of the lateral acceleration in m/s^2, as in `ranging`'s collision course."""
@@ -127,34 +121,6 @@ def camera_of_rows(columns: Columns) -> PinholeCamera | None:
     cx_px = -offset / per_px
     width_px = round(max(float(np.nanmax(boxes[:, 2])) + 1, 2 * cx_px))
     return PinholeCamera(1 / per_px, 1 / per_px, cx_px, 0.0, width_px=width_px, height_px=1)
-
-
-def is_on_course(columns: Columns) -> BoolArray:
-    """(N,) whether the object is more likely to hit the ego vehicle than to pass it.
-
-    By the probability of contact where the rows have one, else by the lateral offset; without a camera all are.
-    """
-    probability = column(columns, "contact_probability")
-    if np.isfinite(probability).any():
-        return probability >= _LIKELY
-    if "passing" not in columns:
-        return np.ones(len(columns["time_s"]), np.bool_)
-    reach_m = EGO_HALF_WIDTH_M + column(columns, "box_width") / 2
-    hits: BoolArray = np.abs(column(columns, "passing")) <= reach_m
-    return hits
-
-
-def collision_columns(columns: Columns) -> dict[str, FloatArray]:
-    """`collision_s` (N,): time to collision of the front with road users on the path; NaN = none.
-
-    It is `ttc_front_s`; of rows of earlier versions `ttc_s` of those on a collision course. All shortest times of the
-    report are of this column.
-    """
-    if np.isfinite(column(columns, "gap_m")).any():
-        return {"collision_s": column(columns, "ttc_front_s")}
-    is_slow = column(columns, "closing_mps") < _MIN_SIGNIFICANCE * column(columns, "closing_sigma_mps")
-    is_shown = is_on_course(columns) & ~is_slow & ~np.isin(columns["class"], STATIC_CLASSES)
-    return {"collision_s": np.where(is_shown, column(columns, "ttc_s"), np.nan)}
 
 
 def _courses(

@@ -116,7 +116,7 @@ def _properties(track: Columns) -> dict[str, Any]:
         "from_s": round(float(time_s[0]), 3),
         "to_s": round(float(time_s[-1]), 3),
         "near_m": reduced(fused_m, np.min),
-        "ttc_s": reduced(column(track, "collision_s" if "collision_s" in track else "ttc_s"), np.min),
+        "ttc_s": reduced(column(track, "ttc_front_s"), np.min),
         "error_pct": reduced(100.0 * error, np.median),
     }
 

@@ -1,12 +1,14 @@
-"""Collision courses and passing objects: positions by hand, projected by an exact camera."""
+"""Lateral motion of objects that pass, cross or are hit: positions by hand, projected by an exact camera."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from track_range.foundation.arrays import FloatArray
-from track_range.ranging.filtering.lateral_motion import LateralFilters, PassingOffsets, passing_offsets
+from track_range.ranging.filtering.lateral_motion import LateralFilters
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.tracking.tracks import Tracks
 
@@ -14,14 +16,25 @@ CAMERA = PinholeCamera(700.0, 700.0, 620.0, 187.0, 1241, 374)
 STEP_S = 0.1
 
 
-class CollisionCourse:
-    """Lateral filters with the offsets of their states."""
+class Offsets(NamedTuple):
+    """Where objects pass the camera at their lateral speeds, (N,) each."""
+
+    lateral_offset_m: FloatArray
+    sigma_m: FloatArray
+    half_width_m: FloatArray
+
+
+class Course:
+    """Lateral filters with the offsets that follow from their states."""
 
     def __init__(self, camera: PinholeCamera) -> None:
         self._filters = LateralFilters(camera)
 
-    def update(self, boxes: Tracks, distance_m: FloatArray, ttc_s: FloatArray, time_s: float) -> PassingOffsets:
-        return passing_offsets(self._filters.update(boxes, distance_m, time_s), ttc_s)
+    def update(self, boxes: Tracks, distance_m: FloatArray, ttc_s: FloatArray, time_s: float) -> Offsets:
+        motion, T = self._filters.update(boxes, distance_m, time_s), ttc_s
+        x = motion.state
+        variance = x.P_xx + T * (2 * x.P_xv + T * x.P_vv)
+        return Offsets(x.x + T * x.v, np.sqrt(variance), motion.half_width_m)
 
 
 def box(x_m: float, z_m: float, width_m: float) -> list[float]:
@@ -37,14 +50,14 @@ def tracks(boxes: list[list[float]], *, observed: bool = True, first_id: int = 1
 
 
 def drive(
-    course: CollisionCourse,
+    course: Course,
     start_m: tuple[float, float],
     speed_mps: tuple[float, float],
     *,
     n: int = 10,
     width_m: float = 1.8,
     noise_px: float = 0.0,
-) -> PassingOffsets:
+) -> Offsets:
     """Offsets after n frames of one object with a start (x, z) and a velocity."""
     rng = np.random.default_rng(7)
     offsets = None
@@ -63,22 +76,21 @@ def drive(
 
 
 @pytest.mark.parametrize(
-    ("start_m", "speed_mps", "offset_m", "may_hit"),
+    ("start_m", "speed_mps", "offset_m"),
     [
-        ((0.0, 40.0), (0.0, -20.0), 0.0, True),  # ahead in the ego lane
-        ((-3.5, 40.0), (0.0, -20.0), -3.5, False),  # oncoming in the neighbouring lane
-        ((3.0, 30.0), (-1.5, -15.0), 0.0, True),  # steps off the kerb: constant bearing
-        ((-5.0, 30.0), (8.0, -10.0), 19.9, False),  # crosses before the ego vehicle arrives
-        ((3.5, 25.0), (-1.4, -10.0), 0.0, True),  # cuts into the ego lane
+        ((0.0, 40.0), (0.0, -20.0), 0.0),  # ahead in the ego lane
+        ((-3.5, 40.0), (0.0, -20.0), -3.5),  # oncoming in the neighbouring lane
+        ((3.0, 30.0), (-1.5, -15.0), 0.0),  # steps off the kerb: constant bearing
+        ((-5.0, 30.0), (8.0, -10.0), 19.9),  # crosses before the ego vehicle arrives
+        ((3.5, 25.0), (-1.4, -10.0), 0.0),  # cuts into the ego lane
     ],
 )
 def test_lateral_offset_of_moving_objects(
-    start_m: tuple[float, float], speed_mps: tuple[float, float], offset_m: float, may_hit: bool
+    start_m: tuple[float, float], speed_mps: tuple[float, float], offset_m: float
 ) -> None:
-    offsets = drive(CollisionCourse(CAMERA), start_m, speed_mps)
+    offsets = drive(Course(CAMERA), start_m, speed_mps)
     assert offsets.lateral_offset_m[0] == pytest.approx(offset_m, abs=0.3)
     assert 0.75 - 1e-9 <= offsets.half_width_m[0] <= 0.9 + 1e-9  # a car beside the path may show its side
-    assert offsets.may_hit.tolist() == [may_hit]
 
 
 def test_first_frame_by_hand() -> None:
@@ -86,30 +98,28 @@ def test_first_frame_by_hand() -> None:
 
     The inner edge may be at the far end of a car, so the car may be as narrow as 1.5 m, its centre 0.15 m farther out.
     """
-    offsets = CollisionCourse(CAMERA).update(tracks([box(3.5, 20.0, 1.8)]), np.array([20.0]), np.array([2.0]), 0.0)
+    offsets = Course(CAMERA).update(tracks([box(3.5, 20.0, 1.8)]), np.array([20.0]), np.array([2.0]), 0.0)
     assert offsets.lateral_offset_m[0] == pytest.approx(3.65)
     edge_m = (1.0 + 0.02 * 700 * 1.8 / 20) * 20 / 700
-    assert offsets.sigma_m[0] == pytest.approx(np.sqrt(edge_m**2 + (2.0 * 5.0) ** 2 + (0.25 * 2.0**2 / 2) ** 2))
-    assert offsets.may_hit.tolist() == [True]
+    assert offsets.sigma_m[0] == pytest.approx(np.sqrt(edge_m**2 + (2.0 * 5.0) ** 2))
 
 
 def test_offset_error_within_sigma() -> None:
-    offsets = drive(CollisionCourse(CAMERA), (-3.5, 45.0), (0.0, -20.0), n=14, noise_px=1.0)
+    offsets = drive(Course(CAMERA), (-3.5, 45.0), (0.0, -20.0), n=14, noise_px=1.0)
     assert abs(offsets.lateral_offset_m[0] + 3.5) < 2 * offsets.sigma_m[0]
     assert 0.3 < offsets.sigma_m[0] < 2.0
 
 
 def test_unknown_without_ttc_or_distance() -> None:
-    course = CollisionCourse(CAMERA)
+    course = Course(CAMERA)
     boxes = [box(-3.5, 20.0, 1.8), box(3.5, 20.0, 1.8)]
     offsets = course.update(tracks(boxes), np.array([20.0, np.nan]), np.array([np.nan, np.nan]), 0.0)
     assert np.isnan(offsets.lateral_offset_m).all()
-    assert offsets.may_hit.all()
 
 
 def test_box_cut_by_the_border_is_not_a_measurement() -> None:
     """The visible centre of a passing car stays at the border: only measurements before it was cut are used."""
-    course, n = CollisionCourse(CAMERA), 0
+    course, n = Course(CAMERA), 0
     offsets = drive(course, (-4.0, 14.0), (0.0, -8.0), n=12)
     for number in range(12, 16):
         z_m = 14.0 - 8.0 * STEP_S * number
@@ -117,12 +127,11 @@ def test_box_cut_by_the_border_is_not_a_measurement() -> None:
         n += int(cut[0] == 0.0)
         offsets = course.update(tracks([cut.tolist()]), np.array([z_m]), np.array([z_m / 8.0]), number * STEP_S)
         assert offsets.lateral_offset_m[0] == pytest.approx(-4.0, abs=0.3)
-        assert not offsets.may_hit[0]
     assert n == 4
 
 
 def test_jump_restarts_the_filter() -> None:
-    course = CollisionCourse(CAMERA)
+    course = Course(CAMERA)
     drive(course, (-6.0, 40.0), (0.0, -10.0))
     seen = [
         course.update(tracks([box(0.5, 30.0, 1.8)]), np.array([30.0]), np.array([3.0]), 1.0 + STEP_S * number)
@@ -134,7 +143,7 @@ def test_jump_restarts_the_filter() -> None:
 
 
 def test_predicted_boxes_and_long_gaps() -> None:
-    course = CollisionCourse(CAMERA)
+    course = Course(CAMERA)
     sure = drive(course, (-3.5, 40.0), (0.0, -10.0))
     far: FloatArray = np.array([30.0])
     wrong = tracks([box(5.0, 30.0, 1.8)], observed=False)
@@ -146,5 +155,5 @@ def test_predicted_boxes_and_long_gaps() -> None:
 
 
 def test_no_tracks() -> None:
-    offsets = CollisionCourse(CAMERA).update(tracks([]), np.zeros(0), np.zeros(0), 0.0)
-    assert len(offsets.may_hit) == 0
+    offsets = Course(CAMERA).update(tracks([]), np.zeros(0), np.zeros(0), 0.0)
+    assert len(offsets.lateral_offset_m) == 0
