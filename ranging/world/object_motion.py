@@ -28,6 +28,7 @@ from track_range.ranging.filtering.distance_filter import FilteredRanges
 from track_range.ranging.filtering.lateral_motion import LateralMotion
 from track_range.ranging.filtering.motion_models import ModelSettings
 from track_range.ranging.world.ego_path import EgoPose
+from track_range.stereo.odometry.ego_motion import EgoMotion
 
 MotionState = Literal["parked", "moving", "oncoming", "crossing"]
 MOTION_STATES: tuple[MotionState, ...] = get_args(MotionState)
@@ -94,31 +95,24 @@ class ObjectMotion:
         return ObjectMotion(*(getattr(self, name)[rows] for name in ObjectMotion.__slots__))
 
 
-def over_ground(
-    motion: FilteredRanges,
-    lateral: LateralMotion,
-    class_id: IntArray,
-    *,
-    ego_mps: float,
-    ego_sigma_mps: float,
-    yaw_rad_s: float = math.nan,
-) -> OverGround:
+def over_ground(motion: FilteredRanges, lateral: LateralMotion, class_id: IntArray, ego: EgoMotion) -> OverGround:
     """Motion over ground of N tracks of road classes `class_id` (N,), from their filtered distances and positions.
 
-    `motion` and `lateral` are of one frame; the lateral filter must know the yaw rate of the camera, positive = to the
-    right, too. Speeds are NaN without an ego speed, and where their standard deviation is above 3 m/s.
+    `motion` and `lateral` are of one frame; the lateral filter must know the yaw rate of `ego`, too. Speeds are NaN
+    without an ego speed, and where their standard deviation is above 3 m/s.
     """
     d, v, x = motion.state.x, motion.state.v, lateral.state
-    sigma_V = ego_sigma_mps if math.isfinite(ego_sigma_mps) else _UNKNOWN_EGO_SIGMA_MPS
+    V, sigma_V = ego.speed_mps, ego.speed_sigma_mps
+    sigma_V = sigma_V if math.isfinite(sigma_V) else _UNKNOWN_EGO_SIGMA_MPS
     s2 = np.maximum(motion.ranges.sigma_m**2 - motion.state.P_xx, 0.0) / d**2
     is_person = class_id == _PERSON
-    u, right, B = v + ego_mps - np.nan_to_num(yaw_rad_s) * x.x, x.v, _RATE_FACTOR * x.P_vv
+    u, right, B = v + V - np.nan_to_num(ego.yaw_rad_s) * x.x, x.v, _RATE_FACTOR * x.P_vv
 
     # Moments of u where the object moves along the axis.
     q = np.maximum(1.0 - (np.zeros_like(v) if motion.static is None else motion.static), _MIN_MOVING)
     u_M = u / q
     A = (motion.state.P_vv + u**2 - (1 - q) * (_REST_SIGMA_MPS**2 + sigma_V**2)) / q - u_M**2
-    A = np.maximum(A, _REST_SIGMA_MPS**2) + s2 * (u_M - ego_mps) ** 2 + sigma_V**2
+    A = np.maximum(A, _REST_SIGMA_MPS**2) + s2 * (u_M - V) ** 2 + sigma_V**2
 
     # Probabilities of rest, crossing and moving along.
     M = np.where(is_person, _WALKING_MPS, _MOVING_MPS)
@@ -160,14 +154,11 @@ class ObjectMotions:
         lateral: LateralMotion,
         time_s: float,
         *,
-        ego_mps: float,
-        ego_sigma_mps: float,
-        yaw_rad_s: float = math.nan,
+        ego: EgoMotion,
         pose: EgoPose,
     ) -> ObjectMotion:
-        """Motion of N tracks (N,) of one frame at `time_s`, with the ego speed (NaN = unknown), yaw rate and pose."""
-        ego = {"ego_mps": ego_mps, "ego_sigma_mps": ego_sigma_mps, "yaw_rad_s": yaw_rad_s}
-        ground = over_ground(motion, lateral, class_id, **ego)
+        """Motion of N tracks (N,) of one frame at `time_s`, with the motion and the pose of the camera."""
+        ground = over_ground(motion, lateral, class_id, ego)
         x_m, y_m = pose.to_world(motion.state.x, lateral.state.x)
         heading_rad = ground.heading_rad + pose.heading_rad
         heading_deg = np.degrees(np.arctan2(np.sin(heading_rad), np.cos(heading_rad)))

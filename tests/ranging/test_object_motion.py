@@ -12,6 +12,7 @@ from track_range.ranging.filtering.lateral_motion import LateralMotion
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.world.ego_path import EgoPose
 from track_range.ranging.world.object_motion import MOTION_STATES, ObjectMotions, over_ground
+from track_range.stereo.odometry.ego_motion import EgoMotion
 
 CAR, PERSON = ROAD_CLASSES.index("car"), ROAD_CLASSES.index("person")
 EGO_MPS = 10.0
@@ -36,7 +37,7 @@ def lateral_of(right_mps, *, x_m=1.0, sigma_mps=0.2):
 def ground_of(rate_mps, right_mps, class_id=CAR, ego_mps=EGO_MPS, **options):
     classes = np.full(len(rate_mps), class_id)
     motion = motion_of(rate_mps, **options)
-    return over_ground(motion, lateral_of(right_mps), classes, ego_mps=ego_mps, ego_sigma_mps=0.05)
+    return over_ground(motion, lateral_of(right_mps), classes, EgoMotion(ego_mps, 0.05))
 
 
 def test_speed_is_the_rate_plus_the_ego_speed():
@@ -54,9 +55,9 @@ def test_speed_is_the_rate_plus_the_ego_speed():
 def test_rotation_of_the_camera_is_no_speed():
     """In a turn to the right with 0.2 rad/s, a parked car 10 m to the right comes nearer 2 m/s more slowly."""
     motion, lateral = motion_of([-8.0]), lateral_of([0.0], x_m=10.0)
-    given = {"ego_mps": EGO_MPS, "ego_sigma_mps": 0.05}
-    assert over_ground(motion, lateral, np.array([CAR]), **given, yaw_rad_s=0.2).speed_mps[0] < 0.1
-    assert over_ground(motion, lateral, np.array([CAR]), **given).speed_mps[0] > 1.5
+    turning, straight = EgoMotion(EGO_MPS, 0.05, 0.2), EgoMotion(EGO_MPS, 0.05)
+    assert over_ground(motion, lateral, np.array([CAR]), turning).speed_mps[0] < 0.1
+    assert over_ground(motion, lateral, np.array([CAR]), straight).speed_mps[0] > 1.5
 
 
 def test_an_object_at_rest_has_almost_no_speed():
@@ -87,8 +88,7 @@ def states_of(rates_mps, rights_mps, *, step_s=0.1):
             motion_of([rate]),
             lateral_of([right]),
             i * step_s,
-            ego_mps=EGO_MPS,
-            ego_sigma_mps=0.05,
+            ego=EgoMotion(EGO_MPS, 0.05),
             pose=EgoPose(5.0, 0.0, math.pi / 2, np.zeros((3, 3))),
         )
         states.append(None if np.isnan(found.state[0]) else MOTION_STATES[int(found.state[0])])

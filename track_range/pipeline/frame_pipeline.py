@@ -113,16 +113,15 @@ class FramePipeline:
                     ranges[name] = replace(measured, sigma_m=sigma_m)
                 if method == "fused":
                     rate_sigma_mps = np.hypot(motion.rate_sigma_mps, shared * motion.rate_mps)
-            pose = self._path.update(frame.time_s, replace(ego.motion, speed_sigma_mps=ego_sigma_mps))
+            moved = replace(ego.motion, speed_sigma_mps=ego_sigma_mps)
+            pose = self._path.update(frame.time_s, moved)
             in_world = self._motions.update(
                 tracks.track_id,
                 tracks.class_id,
                 replace(motion, ranges=ranges["fused_kf"]),
                 lateral,
                 frame.time_s,
-                ego_mps=ego_mps,
-                ego_sigma_mps=ego_sigma_mps,
-                yaw_rad_s=yaw_rad_s,
+                ego=moved,
                 pose=pose,
             )
             warnings = safety = None

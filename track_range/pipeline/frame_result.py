@@ -122,28 +122,17 @@ class FrameResult:
         fused = self.ranges["fused"] if "fused" in self.ranges else Ranges.unmeasured(tracks.track_id)
         motion = self.motion or ObjectMotion.unknown(len(tracks))
         names = np.array([*MOTION_STATES, ""])[np.nan_to_num(motion.state, nan=-1.0).astype(np.int64)]
+        numbers = (fused.distance_m, fused.sigma_m, self.closing_mps, self.ttc_s)
         columns = (
-            *(tracks.track_id, tracks.class_id, tracks.xyxy_px, fused.distance_m, fused.sigma_m),
-            *(self.closing_mps, self.ttc_s, self.xyz_m, tracks.observed, motion.speed_mps, names),
+            *(
+                tracks.track_id.tolist(),
+                map(ROAD_CLASSES.__getitem__, tracks.class_id),
+                map(tuple, tracks.xyxy_px.tolist()),
+            ),
+            *(values.tolist() for values in numbers),
+            *(map(tuple, self.xyz_m.tolist()), tracks.observed.tolist(), motion.speed_mps.tolist(), names.tolist()),
         )
-        return tuple(
-            TrackedObject(
-                number,
-                ROAD_CLASSES[class_id],
-                tuple(box),
-                z,
-                sigma,
-                closing,
-                ttc,
-                tuple(xyz),
-                is_observed,
-                speed,
-                state,
-            )
-            for number, class_id, box, z, sigma, closing, ttc, xyz, is_observed, speed, state in zip(
-                *(column.tolist() for column in columns), strict=True
-            )
-        )
+        return tuple(map(TrackedObject, *columns))
 
     @property
     def left(self) -> Image:

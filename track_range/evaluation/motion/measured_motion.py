@@ -73,14 +73,7 @@ def measured_motion(
         alarm = warning.update(tracks, state, lateral, frame.time_s, ego_mps=ego.speed_mps, yaw_rad_s=ego.yaw_rad_s)
         distance_m[rows], ttc_s[rows] = state.ranges.distance_m, state.ttc_s
         closing_mps[rows], sigma_mps[rows] = -state.rate_mps, state.rate_sigma_mps
-        ground = over_ground(
-            state,
-            lateral,
-            tracks.class_id,
-            ego_mps=ego.speed_mps,
-            ego_sigma_mps=ego.speed_sigma_mps,
-            yaw_rad_s=ego.yaw_rad_s,
-        )
+        ground = over_ground(state, lateral, tracks.class_id, ego)
         speed_mps[rows], speed_sigma_mps[rows] = ground.speed_mps, ground.sigma_mps
         offset_m[rows], is_alarm[rows] = alarm.path_offset_m, alarm.active
         states[:, rows] = _state(state)

@@ -185,11 +185,10 @@ class EventFinder:
         self.settings = settings or EventSettings()
         self._conditions = Conditions(self.settings)
         self._open: list[_Open] = []
-        self._ended: list[Event] = []
+        self._ended: list[tuple[Event, list[list[Place]]]] = []  # with the paths of its tracks
         self._alarms: list[_Open] = []  # alarms that have ended
         self._ego: list[Place] = []
         self._paths: dict[int, list[Place]] = {}  # of the tracks
-        self._paths_of: dict[int, list[list[Place]]] = {}  # of the tracks of events that have ended, by `id`
 
     def update(self, result: FrameResult) -> tuple[Event, ...]:
         """Events that ended before this frame and have not been returned yet, in the order of their ends."""
@@ -207,19 +206,19 @@ class EventFinder:
     def finish(self) -> tuple[Event, ...]:
         """All events of the drive in the order of their starts, those in progress included; ends the drive."""
         self._close(math.inf)
-        return tuple(sorted(map(self._with_pet, self._ended), key=lambda event: event.start_s))
+        return self.so_far()
 
     def so_far(self) -> tuple[Event, ...]:
         """Events that have ended and those in progress that count, in the order of their starts."""
         in_progress = (_event(event) for event in self._open if self._counts(event))
-        return tuple(sorted((*map(self._with_pet, self._ended), *in_progress), key=lambda event: event.start_s))
+        ended = (self._with_pet(event, paths) for event, paths in self._ended)
+        return tuple(sorted((*ended, *in_progress), key=lambda event: event.start_s))
 
     def forget(self, before_s: float) -> None:
         """Drop the events that ended before a time, so that memory is bounded."""
-        self._ended = [event for event in self._ended if event.end_s >= before_s]
+        self._ended = [(event, paths) for event, paths in self._ended if event.end_s >= before_s]
         self._alarms = [alarm for alarm in self._alarms if alarm.last_s >= before_s]
         self._ego = [place for place in self._ego if place[0] >= before_s - _PATH_S]
-        self._paths_of = {id(event): self._paths_of[id(event)] for event in self._ended}
 
     def _follow_paths(self, result: FrameResult) -> None:
         """Store the positions of the camera and of the tracks in the frame `map`."""
@@ -233,13 +232,12 @@ class EventFinder:
             if math.isfinite(x_m):
                 self._paths.setdefault(track_id, []).append((time_s, x_m, y_m))
 
-    def _with_pet(self, event: Event) -> Event:
+    def _with_pet(self, event: Event, paths: list[list[Place]]) -> Event:
         """The event with the smallest PET of its tracks, from what is known of the paths by now."""
         half_width_m = float(HALF_WIDTH_M[ROAD_CLASSES.index(event.class_name)])
         ego = np.array(self._ego).reshape(-1, 3)
         near = ego[(ego[:, 0] >= event.start_s - _PATH_S) & (ego[:, 0] <= event.end_s + _PATH_S)]
-        paths = (np.array(path) for path in self._paths_of[id(event)])
-        times_s = [post_encroachment_s(near, path, half_width_m=half_width_m) for path in paths]
+        times_s = [post_encroachment_s(near, np.array(path), half_width_m=half_width_m) for path in paths]
         pet_s = float(np.fmin.reduce(times_s, initial=math.nan))
         return event if math.isnan(pet_s) else replace(event, pet_s=pet_s)
 
@@ -251,10 +249,8 @@ class EventFinder:
         self._open = [event for event in self._open if time_s - event.last_s <= self.settings.max_gap_s]
         self._alarms += [event for event in over if math.isfinite(event.warning_s)]
         counted = [(_event(event), event.paths) for event in over if self._counts(event)]
-        events = tuple(event for event, _ in counted)
-        self._ended += events
-        self._paths_of |= {id(event): paths for event, paths in counted}
-        return events
+        self._ended += counted
+        return tuple(event for event, _ in counted)
 
     def _counts(self, event: _Open) -> bool:
         """Whether an event that is over counts: it was long enough, and is not part of an alarm or a contact."""
@@ -353,21 +349,21 @@ def _event(event: _Open) -> Event:
     return Event(
         kind=event.kind,
         start_s=event.start_s,
-        peak_s=event.peak["time_s"],
+        peak_s=peak["time_s"],
         end_s=event.last_s,
         warning_s=event.warning_s,
-        frame=int(event.peak["frame"]),
+        frame=int(peak["frame"]),
         track_id=event.peak_track_id,
         class_name=ROAD_CLASSES[event.peak_class],
         min_distance_m=extremes["distance_m"],
         min_distance_sigma_m=extremes["sigma_m"],
         min_ttc_s=extremes["ttc_s"],
         closing_mps=extremes["closing_mps"],
-        ego_mps=event.peak["ego_mps"],
+        ego_mps=peak["ego_mps"],
         probability=extremes["probability"],
         reason=_reason(event),
         headway_s=extremes["headway_s"],
-        scale_in_doubt=int(event.peak["scale_in_doubt"]),
+        scale_in_doubt=int(peak["scale_in_doubt"]),
         **{name: extremes[name] for name in ("gap_m", "drac_mps2", "mdrac_mps2")},
         tet_s=event.tet_s,
         tit_s2=event.tit_s2,
