@@ -44,9 +44,10 @@ _IS_ROAD_USER = HALF_WIDTH_M > 0
 _IS_VEHICLE = _IS_ROAD_USER & (np.array(ROAD_CLASSES) != "person")
 
 
-def apart_m(path_offset_m: FloatArray, class_id: IntArray) -> FloatArray:
+def apart_m(path_offset_m: FloatArray, class_id: IntArray, settings: WarningSettings | None = None) -> FloatArray:
     """(N,) distance between the edges of objects and of the ego path, negative = on the path, NaN = unknown."""
-    return np.asarray(np.abs(path_offset_m) - WarningSettings().ego_width_m / 2 - HALF_WIDTH_M[class_id])
+    ego_width_m = (settings or WarningSettings()).ego_width_m
+    return np.asarray(np.abs(path_offset_m) - ego_width_m / 2 - HALF_WIDTH_M[class_id])
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +117,7 @@ class SafetyMonitor:
         """
         settings, offset_m = self._settings, warnings.path_offset_m
         is_user = _IS_ROAD_USER[class_id]
-        is_on_path = (apart_m(offset_m, class_id) < 0) & is_user
+        is_on_path = (apart_m(offset_m, class_id, settings) < 0) & is_user
         is_on_course = (is_on_path | (warnings.probability >= _LIKELY)) & is_user
         is_on_course &= closing_mps > MIN_CLOSING_MPS
         is_on_course &= ~(closing_mps < _MIN_SIGNIFICANCE * closing_sigma_mps)  # True where sigma is unknown

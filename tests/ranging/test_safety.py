@@ -8,6 +8,7 @@ import pytest
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.lanes.lines import LaneLine, LaneLines
 from track_range.ranging.warning.safety import SafetyMonitor, lane_edges_m, post_encroachment_s
+from track_range.ranging.warning.settings import WarningSettings
 from track_range.ranging.warning.warnings import Warnings
 from track_range.stereo.geometry.camera import PinholeCamera
 
@@ -52,6 +53,12 @@ def test_measures_of_the_path_are_of_objects_on_the_path():
     assert found.gap_m == pytest.approx([20.0] * 4)
     sign = measured([21.5], [10.0], class_id=SIGN)
     assert np.isnan([sign.headway_s[0], sign.drac_mps2[0], sign.ttc_front_s[0]]).all()
+
+
+def test_a_wider_ego_vehicle_has_more_objects_on_its_path():
+    for width_m, is_on_path in ((1.8, False), (2.5, True)):
+        monitor = SafetyMonitor(WarningSettings(ego_width_m=width_m))
+        assert np.isfinite(measured([21.5], [10.0], offset_m=2.0, monitor=monitor).drac_mps2[0]) == is_on_path
 
 
 def test_ttc_of_those_who_will_be_on_the_path():

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.foundation.arrays import FloatArray
+from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import METHODS, methods
@@ -272,3 +272,18 @@ def rounded_batch(batch: pa.RecordBatch, columns: Sequence[ResultColumn]) -> pa.
         for values, column in zip(batch.columns, columns, strict=True)
     ]
     return pa.record_batch(arrays, schema=batch.schema)
+
+
+def rows_by_track(columns: Columns) -> list[IntArray]:
+    """Rows of each track in the order of time, by increasing track ID."""
+    track_id = columns["track_id"]
+    if not len(track_id):
+        return []
+    order = np.lexsort((columns["time_s"], track_id))
+    return np.split(order, np.flatnonzero(np.diff(track_id[order])) + 1)
+
+
+def most_frequent(names: npt.NDArray[Any]) -> str:
+    """The most frequent name, such as the class of a track; the first in the alphabet of several."""
+    values, counts = np.unique(names, return_counts=True)
+    return str(values[np.argmax(counts)])

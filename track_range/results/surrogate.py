@@ -13,7 +13,7 @@ from track_range.foundation.arrays import IntArray
 from track_range.foundation.files.atomic_files import atomic_path, describe
 from track_range.foundation.files.output_files import OutputError
 from track_range.ranging.warning.safety import HALF_WIDTH_M, post_encroachment_s
-from track_range.results.columns import Columns
+from track_range.results.columns import Columns, most_frequent, rows_by_track
 from track_range.results.folder import read_run_folder
 from track_range.results.formats.parquet_file import PARQUET_FILE, read_tracks_parquet
 from track_range.results.formats.poses_file import Poses, read_poses
@@ -58,10 +58,8 @@ def _road_users(clip: str, columns: Columns, poses: Poses | None, source: Path) 
             "repeat the run."
         )
     ego = None if poses is None else np.stack([poses.time_s, poses.x_m, poses.y_m], axis=1)
-    order = np.lexsort((columns["time_s"], columns["track_id"]))
-    starts = np.flatnonzero(np.diff(columns["track_id"][order])) + 1
-    for rows in np.split(order, starts) if len(order) else []:
-        name = _most_frequent(columns["class"][rows])
+    for rows in rows_by_track(columns):
+        name = most_frequent(columns["class"][rows])
         if name in ROAD_CLASSES and HALF_WIDTH_M[ROAD_CLASSES.index(name)] > 0:
             yield {"clip": clip, **_measures(name, columns, rows, ego)}
 
@@ -70,7 +68,7 @@ def _measures(name: str, columns: Columns, rows: IntArray, ego: Any) -> dict[str
     time_s = columns["time_s"][rows]
     lead_s = float(np.sum(np.minimum(np.diff(time_s), 1.0) * (columns["is_lead"][rows][:-1] > 0)))
     row: dict[str, Any] = {"track_id": int(columns["track_id"][rows[0]]), "class": name}
-    row |= {"state": _most_frequent(columns["state"][rows]) if "state" in columns else ""}
+    row |= {"state": most_frequent(columns["state"][rows]) if "state" in columns else ""}
     row |= {"from_s": float(time_s[0]), "to_s": float(time_s[-1]), "lead_s": lead_s}
     for key, kind in EXTREMES.items():
         values = columns[key][rows]
@@ -84,11 +82,6 @@ def _measures(name: str, columns: Columns, rows: IntArray, ego: Any) -> dict[str
     half_width_m = float(HALF_WIDTH_M[ROAD_CLASSES.index(name)])
     pet_s = np.nan if ego is None else post_encroachment_s(ego, path, half_width_m=half_width_m)
     return {**row, "pet_s": None if np.isnan(pet_s) else float(pet_s)}
-
-
-def _most_frequent(names: Any) -> str:
-    values, counts = np.unique(names, return_counts=True)
-    return str(values[np.argmax(counts)])
 
 
 def by_class(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -10,8 +10,10 @@ import pytest
 
 from tests.track_range.results.test_mcap import frame
 from tests.track_range.results.test_results import result, writing
+from tests.track_range.results.test_writers import INFO
 from track_range.ranging.world.ego_path import EgoPose
 from track_range.ranging.world.object_motion import MOTION_STATES, ObjectMotion
+from track_range.results.formats.openscenario_file import OpenScenarioWriter
 
 
 @pytest.fixture(scope="module")
@@ -90,3 +92,18 @@ def test_a_run_without_poses_is_valid(tmp_path, schema):
     path = written(tmp_path, [replace(result(0), ego_pose=None)])
     schema.validate(path)
     assert list(root_of(path).iter("ScenarioObject")) == []
+
+
+def test_a_discarded_frame_is_not_written(tmp_path):
+    writer = OpenScenarioWriter()
+    writer.open(INFO, tmp_path)
+    for index in (2, 3, 4):
+        writer.write(moved(index))
+    writer.discard_last()
+    writer.discard_last()  # a second call does nothing
+    writer.write(replace(moved(5), ego_pose=None))
+    writer.discard_last()
+    writer.close(None)
+    root = root_of(tmp_path / "run.xosc")
+    assert vertices(root, "ego")[:, 1].tolist() == [2.0, 3.0]
+    assert len(vertices(root, "car-3")) == 2

@@ -8,7 +8,7 @@ are added when they are first seen, and deleted when they were last seen. Times 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -20,24 +20,27 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files import atomic_files
 from track_range.pipeline.frame_result import FrameResult
+from track_range.ranging.warning.safety import HALF_WIDTH_M
 from track_range.ranging.warning.settings import WarningSettings
-from track_range.ranging.world.object_motion import MOTION_STATES
+from track_range.ranging.world.ego_path import EgoPose
+from track_range.ranging.world.object_motion import MOTION_STATES, ObjectMotion
+from track_range.results.formats.scene import LENGTH_M
 from track_range.results.writers import RunInfo
 
 SCENARIO_FILE = "run.xosc"
 _EGO = "ego"
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)  # of recordings without UTC, so that the same run gives the same file
-_CATEGORIES: Mapping[str, tuple[str, tuple[float, float, float]]] = {
-    "person": ("pedestrian", (0.5, 0.6, 1.75)),
-    "bicycle": ("bicycle", (1.7, 0.6, 1.7)),
-    "car": ("car", (4.2, 1.8, 1.5)),
-    "motorcycle": ("motorbike", (2.1, 0.8, 1.6)),
-    "bus": ("bus", (11.0, 2.5, 3.1)),
-    "truck": ("truck", (8.0, 2.5, 3.3)),
+_KINDS: Mapping[str, tuple[str, float]] = {
+    "person": ("pedestrian", 1.75),
+    "bicycle": ("bicycle", 1.7),
+    "car": ("car", 1.5),
+    "motorcycle": ("motorbike", 1.6),
+    "bus": ("bus", 3.1),
+    "truck": ("truck", 3.3),
 }
-"""Category, and nominal length, width and height in m, by class; others are not written."""
+"""Category, and nominal height in m, by class; others are not written."""
 
-Row = tuple[float, float, float, float, float, bool]  # time, x, y, heading (NaN = unknown), bearing, whether parked
+_IS_WRITTEN = np.array([name in _KINDS for name in ROAD_CLASSES])
 
 
 def _node(tag: str, *children: ElementTree.Element, **attributes: Any) -> ElementTree.Element:
@@ -65,60 +68,43 @@ class OpenScenarioWriter:
     def open(self, info: RunInfo, folder: Path) -> None:
         """Start without frames."""
         self._info, self._path = info, folder / SCENARIO_FILE
-        self._ego: list[Row] = []
-        self._tracks: dict[int, list[Row]] = {}
-        self._classes: dict[int, list[int]] = {}
-        self._held: FrameResult | None = None
+        self._ego: list[list[float]] = []  # time, x, y and heading of each frame
+        self._tracks: list[FloatArray] = []  # of each of these frames, see `_rows`
+        self._n_before = 0  # frames before the last one
 
     def write(self, result: FrameResult) -> None:
-        """Add the frame before this one, and hold this one."""
-        self._release()
-        self._held = result
+        """Add a frame."""
+        pose, self._n_before = result.ego_pose, len(self._ego)
+        if pose is not None and math.isfinite(pose.x_m):
+            self._ego.append([result.time_s, pose.x_m, pose.y_m, pose.heading_rad])
+            self._tracks.append(_rows(result, pose))
 
     def discard_last(self) -> None:
-        """Discard the frame that is held."""
-        self._held = None
+        """Discard the last frame."""
+        del self._ego[self._n_before :], self._tracks[self._n_before :]
 
     def close(self, summary: Mapping[str, Any] | None) -> None:
         """Write the file."""
-        self._release()
         root = self._scenario()
         ElementTree.indent(root)
         content = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
         atomic_files.write_bytes(self._path, content + b"\n")
-
-    def _release(self) -> None:
-        result, self._held = self._held, None
-        pose = None if result is None else result.ego_pose
-        if result is None or pose is None or math.isnan(pose.x_m):
-            return
-        time_s = result.time_s
-        self._ego.append((time_s, pose.x_m, pose.y_m, pose.heading_rad, 0.0, False))
-        if result.motion is None:
-            return
-        motion, parked = result.motion, MOTION_STATES.index("parked")
-        x_m, y_m = motion.world_x_m, motion.world_y_m
-        bearing_rad = np.arctan2(y_m - pose.y_m, x_m - pose.x_m)
-        columns = (x_m, y_m, np.radians(motion.heading_deg), bearing_rad, motion.state == parked)
-        rows = zip(*(column.tolist() for column in columns), strict=True)
-        for track_id, class_id, row in zip(
-            result.tracks.track_id.tolist(), result.tracks.class_id.tolist(), rows, strict=True
-        ):
-            if ROAD_CLASSES[class_id] in _CATEGORIES and math.isfinite(row[0]):
-                self._tracks.setdefault(track_id, []).append((time_s, *row))
-                self._classes.setdefault(track_id, []).append(class_id)
 
     def _scenario(self) -> ElementTree.Element:
         start_s = self._ego[0][0] if self._ego else 0.0
         utc_s = self._info.start_utc_s
         date = _EPOCH if utc_s is None else datetime.fromtimestamp(utc_s + start_s, UTC)
         ego_m = (WarningSettings().ego_length_m, WarningSettings().ego_width_m, 1.5)
-        objects = [(_EGO, "car", ego_m, WarningSettings().front_m - ego_m[0] / 2, _table(self._ego, start_s))]
-        for track_id, rows in self._tracks.items():
-            name = ROAD_CLASSES[int(np.bincount(self._classes[track_id]).argmax())]
-            category, size_m = _CATEGORIES[name]
-            objects.append((f"{name}-{track_id}", category, size_m, 0.0, _placed(_table(rows, start_s), size_m)))
-        objects = [given for given in objects if len(given[-1])]
+        path = np.array(self._ego).reshape(-1, 4) - [start_s, 0, 0, 0]
+        objects = [(_EGO, "car", ego_m, WarningSettings().front_m - ego_m[0] / 2, path)] if len(path) else []
+        rows = np.concatenate([np.zeros((0, 8)), *self._tracks]) - [start_s, *[0] * 7]
+        for track_id in dict.fromkeys(rows[:, 6].tolist()):
+            track = rows[rows[:, 6] == track_id]
+            class_id = int(np.bincount(track[:, 7].astype(int)).argmax())
+            name = ROAD_CLASSES[class_id]
+            category, height_m = _KINDS[name]
+            size_m = (LENGTH_M[name], 2 * float(HALF_WIDTH_M[class_id]), height_m)
+            objects.append((f"{name}-{track_id:.0f}", category, size_m, 0.0, _placed(track, size_m)))
         init = [_private(name, table[0]) for name, *_, table in objects if table[0, 0] <= 0]
         groups = [_maneuvers(name, table) for name, *_, table in objects]
         story = [_node("Story", _node("Act", *groups, _at("start", 0.0), name="drive"), name="drive")] if groups else []
@@ -140,28 +126,32 @@ class OpenScenarioWriter:
         )
 
 
-def _table(rows: Sequence[Row], start_s: float) -> FloatArray:
-    """(N, 6) rows with times from `start_s`."""
-    table = np.array(rows, np.float64).reshape(-1, 6)
-    table[:, 0] -= start_s
-    return table
+def _rows(result: FrameResult, pose: EgoPose) -> FloatArray:
+    """(N, 8) time, x, y, heading (NaN = unknown), bearing, whether parked, track ID and class of tracks in a frame."""
+    tracks, n = result.tracks, len(result.tracks)
+    motion = result.motion or ObjectMotion.unknown(n)
+    x_m, y_m, is_parked = motion.world_x_m, motion.world_y_m, motion.state == MOTION_STATES.index("parked")
+    place = (np.full(n, result.time_s), x_m, y_m, np.radians(motion.heading_deg))
+    bearing_rad = np.arctan2(y_m - pose.y_m, x_m - pose.x_m)
+    rows = np.column_stack([*place, bearing_rad, is_parked, tracks.track_id, tracks.class_id])
+    return np.asarray(rows[np.isfinite(x_m) & _IS_WRITTEN[tracks.class_id]])
 
 
-def _placed(table: FloatArray, size_m: tuple[float, float, float]) -> FloatArray:
-    """Rows (N, 6) of a track with the middle of its box as position, and a heading in every row."""
-    time_s, x_m, y_m, heading_rad, bearing_rad, is_parked = table.T.copy()
+def _placed(rows: FloatArray, size_m: tuple[float, float, float]) -> FloatArray:
+    """(N, 4) time, x and y of the middle of the box of a track, and a heading in every row."""
+    time_s, x_m, y_m, heading_rad, bearing_rad, is_parked = rows[:, :6].T
     known = np.flatnonzero(np.isfinite(heading_rad))
     if len(known):  # the last known one, before it the first
-        last = np.maximum(np.searchsorted(known, np.arange(len(table)), side="right") - 1, 0)
+        last = np.maximum(np.searchsorted(known, np.arange(len(rows)), side="right") - 1, 0)
         heading_rad = heading_rad[known[last]]
     else:
-        heading_rad = np.full(len(table), bearing_rad[0])
+        heading_rad = np.full(len(rows), bearing_rad[0])
     is_along = np.abs(np.cos(heading_rad - bearing_rad)) > math.sqrt(0.5)
     half_m = np.where(is_along, size_m[0], size_m[1]) / 2
     x_m, y_m = x_m + half_m * np.cos(bearing_rad), y_m + half_m * np.sin(bearing_rad)
     if is_parked.mean() > 0.5:
         x_m, y_m = np.full_like(x_m, np.median(x_m)), np.full_like(y_m, np.median(y_m))
-    return np.stack([time_s, x_m, y_m, heading_rad, bearing_rad, is_parked], axis=1)
+    return np.stack([time_s, x_m, y_m, heading_rad], axis=1)
 
 
 def _entity(name: str, category: str, size_m: tuple[float, float, float], centre_x_m: float) -> ElementTree.Element:
@@ -192,7 +182,7 @@ def _maneuvers(name: str, table: FloatArray) -> ElementTree.Element:
     """What an object does: it appears, follows its trajectory, and disappears if the ego vehicle remains."""
     first_s, last_s = float(table[0, 0]), float(table[-1, 0])
     if len(table) == 1:  # a trajectory has two vertices
-        table = np.concatenate([table, table + np.eye(1, 6) * 0.001])
+        table = np.concatenate([table, table + np.eye(1, 4) * 0.001])
     vertices = [_node("Vertex", _position(*row[1:4]), time=f"{row[0]:.3f}") for row in table.tolist()]
     trajectory = _node("Trajectory", _node("Shape", _node("Polyline", *vertices)), name=f"{name} path", closed="false")
     timing = _node("Timing", domainAbsoluteRelative="absolute", scale=1, offset=0)

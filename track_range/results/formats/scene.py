@@ -26,7 +26,7 @@ world of `EgoPose`, in which the vehicle moves."""
 VEHICLE_FROM_CAMERA_XYZW = (-0.5, 0.5, -0.5, 0.5)
 """Unit quaternion that rotates vectors of the camera frame into the vehicle frame."""
 
-_LENGTH_M = dict(zip(ROAD_CLASSES, (0.5, 1.7, 4.2, 2.1, 11.0, 8.0, 0.3, 0.1), strict=True))
+LENGTH_M = dict(zip(ROAD_CLASSES, (0.5, 1.7, 4.2, 2.1, 11.0, 8.0, 0.3, 0.1), strict=True))
 """Nominal length of each class, m, since an image shows only width and height; typical sizes."""
 
 
@@ -89,7 +89,7 @@ def track_objects(result: FrameResult, camera: PinholeCamera) -> Iterator[TrackO
     distance_m, sigma_m = (unknown, unknown) if fused is None else (fused.distance_m, fused.sigma_m)
     x1, y1, x2, y2 = tracks.xyxy_px.T
     names = [ROAD_CLASSES[class_id] for class_id in tracks.class_id.tolist()]
-    length_m = np.array([_LENGTH_M[name] for name in names])
+    length_m = np.array([LENGTH_M[name] for name in names])
     centre_x_m = ((x1 + x2) / 2 - camera.cx_px) / camera.fx_px * distance_m
     centre_y_m = ((y1 + y2) / 2 - camera.cy_px) / camera.fy_px * distance_m
     width_m, height_m = (x2 - x1) / camera.fx_px * distance_m, (y2 - y1) / camera.fy_px * distance_m

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from track_range.pipeline.colours import track_colour
-from track_range.results.columns import Columns
+from track_range.results.columns import Columns, most_frequent, rows_by_track
 from track_range.results.formats.poses_file import Poses
 from track_range.views.report.content.series import (
     LINE_POINTS,
@@ -15,7 +15,6 @@ from track_range.views.report.content.series import (
     TICKS_PER_S,
     column,
     packed,
-    rows_by_track,
     thinned,
 )
 
@@ -38,15 +37,14 @@ def drive_map(columns: Columns, poses: Poses | None) -> dict[str, Any] | None:
     sigma_m, distance_m = column(columns, "fused_kf_sigma_m"), column(columns, "fused_kf_m")
     is_placed = np.isfinite(x_m) & ~(sigma_m > _MAX_SIGMA * distance_m)
     tracks = []
-    for rows in rows_by_track(columns)[:_MAX_TRACKS]:
+    for rows in sorted(rows_by_track(columns), key=len, reverse=True)[:_MAX_TRACKS]:
         rows = rows[is_placed[rows]]
         if len(rows) < _MIN_ROWS:
             continue
-        names, counts = np.unique(columns["class"][rows], return_counts=True)
         track_id = int(columns["track_id"][rows[0]])
         track: dict[str, Any] = {
             "id": track_id,
-            "name": str(names[np.argmax(counts)]),
+            "name": most_frequent(columns["class"][rows]),
             "colour": "#{2:02x}{1:02x}{0:02x}".format(*track_colour(track_id)),
         }
         if state is not None and np.mean(state[rows] == "parked") > 0.5:

@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.results.columns import Columns, boxes_px
+from track_range.results.columns import Columns, boxes_px, rows_by_track
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.views.report.content.series import column, rows_by_track
+from track_range.views.report.content.series import column
 
 COURSE_S = 8.0  # longest time to collision in s of the courses that the page contains; it draws the next 4 s
 WINDOW_S = 0.8  # duration in s of the positions from which a course is computed: at least eight frames at 10 Hz

@@ -15,7 +15,7 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.pipeline.colours import track_colour
-from track_range.results.columns import Columns, methods_measured
+from track_range.results.columns import Columns, methods_measured, most_frequent, rows_by_track
 from track_range.views.report.tables import figure
 
 LINE_POINTS = 1200
@@ -69,16 +69,6 @@ def thinned(n: int, limit: int) -> IntArray:
     return np.arange(n) if n <= limit else np.unique(np.linspace(0, n - 1, limit).round().astype(np.int64))
 
 
-def rows_by_track(columns: Columns) -> list[IntArray]:
-    """Rows of each track in the order of time, longest track first."""
-    track_id = columns["track_id"]
-    if not len(track_id):
-        return []
-    order = np.lexsort((columns["time_s"], track_id))
-    starts = np.flatnonzero(np.diff(track_id[order])) + 1
-    return sorted(np.split(order, starts), key=len, reverse=True)
-
-
 def track_records(columns: Columns) -> Iterator[dict[str, Any]]:
     """Data of each track for the page, longest track first; series without values are omitted.
 
@@ -86,7 +76,7 @@ def track_records(columns: Columns) -> Iterator[dict[str, Any]]:
     keys of `_SERIES`; observed ("1101": the third box was predicted; missing = all observed); m and s: distance and
     sigma by method.
     """
-    row_sets, methods = rows_by_track(columns), methods_measured(columns)
+    row_sets, methods = sorted(rows_by_track(columns), key=len, reverse=True), methods_measured(columns)
     names = [name for name, _, _ in _SERIES]
     names += [f"{method}_{part}" for method in methods for part in ("m", "sigma_m")]
     n_series = 3 + sum(name in columns for name in names)
@@ -106,11 +96,10 @@ def _properties(track: Columns) -> dict[str, Any]:
 
     time_s, fused_m, truth_m = column(track, "time_s"), column(track, "fused_m"), column(track, "truth_m")
     error = np.abs(fused_m / np.where(truth_m > 0, truth_m, np.nan) - 1.0)
-    names, counts = np.unique(track["class"], return_counts=True)
     track_id = int(track["track_id"][0])
     return {
         "id": track_id,
-        "name": str(names[np.argmax(counts)]),
+        "name": most_frequent(track["class"]),
         "colour": "#{2:02x}{1:02x}{0:02x}".format(*track_colour(track_id)),
         "n": len(time_s),
         "from_s": round(float(time_s[0]), 3),

@@ -64,8 +64,8 @@ function showMap() {
   const box = byId("map-chart")?.firstElementChild;
   if (!drive || !box?.now) return;
   const dot = ([x, y], attributes) => shape("circle", { cx: box.toX(x), cy: box.toY(y), ...attributes });
-  const places = drive.tracks.map(({ path, at, colour }) => [placeAt(path, now_s) && (at || placeAt(path, now_s)), colour]);
-  const marks = places.filter(([place]) => place).map(([place, colour]) => dot(place, { r: 4.5, fill: colour, stroke: "currentColor" }));
+  const places = drive.tracks.map(({ path, at, colour }) => [placeAt(path, now_s), at, colour]).filter(([place]) => place);
+  const marks = places.map(([place, at, colour]) => dot(at || place, { r: 4.5, fill: colour, stroke: "currentColor" }));
   const ego = placeAt(drive.ego, now_s);
   box.now.replaceChildren(...marks, ...(ego ? [dot(ego, { r: 6, class: "map-camera" })] : []));
 }
