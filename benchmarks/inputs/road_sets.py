@@ -16,9 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.evaluation.motion.nuscenes import read_mono3d
+from track_range.evaluation.motion.tusimple import vehicle_boxes, vehicle_columns
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.ranging.fitting.labelled_boxes import BoxSet, box_set
-from track_range.stereo.geometry.camera import PinholeCamera
 
 KITTI = {"kitti": ("labels", 0.0), "kitti 2 px": ("labels", 2.0), "kitti rrc": ("rrc:{}", 0.0)}
 SETS = ("tusimple", "nuscenes", *KITTI)
@@ -54,22 +54,11 @@ def road_set(name: str, data: Path) -> RoadSet:
     return RoadSet(boxes, height_m, tracks, "europe", exact, noise_px if source == "labels" else None)
 
 
-def tusimple_camera(camera: Any) -> PinholeCamera:
-    return PinholeCamera(*(camera[f"{name}_px"] for name in ("fx", "fy", "cx", "cy", "width", "height")))
-
-
 def _tusimple(truth: Any) -> RoadSet:
-    rows = [(clip["clip"], vehicle) for clip in truth["clips"] for vehicle in clip["vehicles"]]
-    boxes = _boxes(
-        "tusimple",
-        np.array([clip for clip, _ in rows]),
-        [("Car", "car")] * len(rows),
-        np.array([[vehicle["bbox"][edge] for edge in ("left", "top", "right", "bottom")] for _, vehicle in rows]),
-        [tusimple_camera(truth["camera"])] * len(rows),
-        np.array([vehicle["position"][0] for _, vehicle in rows]),
-    )
-    height_m = np.full(len(rows), truth["camera"]["camera_height_m"])
-    return RoadSet(boxes, height_m, np.arange(len(rows)), "north-america")
+    clip = np.array([clip["clip"] for clip in truth["clips"] for _ in clip["vehicles"]])
+    boxes = vehicle_boxes(vehicle_columns([vehicle for clip in truth["clips"] for vehicle in clip["vehicles"]]), clip)
+    height_m = np.full(len(boxes), truth["camera"]["camera_height_m"])
+    return RoadSet(boxes, height_m, np.arange(len(boxes)), "north-america")
 
 
 def _nuscenes(path: Path) -> RoadSet:
@@ -80,31 +69,6 @@ def _nuscenes(path: Path) -> RoadSet:
         boxes, sequence_names=("nuscenes",), sequence=np.zeros(n, np.int64), frame=image, track_id=np.full(n, -1)
     )
     return RoadSet(separate, labels.camera_height_m, boxes.track_id, "north-america")
-
-
-def _boxes(
-    name: str,
-    frame: IntArray,
-    classes: list[tuple[str, str]],
-    xyxy_px: FloatArray,
-    cameras: list[PinholeCamera],
-    distance_m: FloatArray,
-) -> BoxSet:
-    """Boxes of separate images; `classes` are those of the labels and of the results."""
-    n = len(frame)
-    return BoxSet.without_3d_boxes(
-        sequence_names=(name,),
-        sequence=np.zeros(n, np.int64),
-        frame=frame,
-        time_s=frame.astype(np.float64),
-        track_id=np.full(n, -1),
-        kitti_type=np.array([label for label, _ in classes], np.str_),
-        class_name=np.array([road_class for _, road_class in classes], np.str_),
-        xyxy_px=xyxy_px,
-        fxycxy_px=np.array([(c.fx_px, c.fy_px, c.cx_px, c.cy_px) for c in cameras]),
-        size_px=np.array([(c.width_px, c.height_px) for c in cameras]),
-        distance_m=distance_m,
-    )
 
 
 def _identities(*columns: npt.NDArray[Any]) -> IntArray:

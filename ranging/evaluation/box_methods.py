@@ -132,7 +132,7 @@ def ranger_columns(
                 has_images=False,
             )
             rangers, scale = create_rangers(context, listed), DriveScale()
-        ranges = {name: _ranges(column, tracks, rows) for name, column in (measured or {}).items()}
+        ranges = {name: ranges_in_frame(column, tracks, rows) for name, column in (measured or {}).items()}
         evidence: list[ScaleEvidence] = []
         for name, ranger in rangers.items():
             others = {other: ranges[other] for other in reads[name] if other in ranges}
@@ -155,13 +155,14 @@ def fused_column(boxes: BoxSet, measured: Mapping[str, MethodColumn]) -> MethodC
     for rows, tracks, frame, is_first in as_frames(boxes, boxes.class_id):
         if is_first:
             fusion = Fusion()
-        ranges = {name: _ranges(column, tracks, rows) for name, column in measured.items()}
+        ranges = {name: ranges_in_frame(column, tracks, rows) for name, column in measured.items()}
         result = fusion.fuse(ranges, tracks.track_id, frame.time_s).ranges
         fused.distance_m[rows], fused.sigma_m[rows] = result.distance_m, result.sigma_m
     return fused
 
 
-def _ranges(column: MethodColumn, tracks: Tracks, rows: IntArray) -> Ranges:
+def ranges_in_frame(column: MethodColumn, tracks: Tracks, rows: IntArray) -> Ranges:
+    """Ranges of the tracks of one frame, whose row indices are `rows`."""
     systematic_m = None if column.sigma_systematic_m is None else column.sigma_systematic_m[rows]
     return Ranges(tracks.track_id, column.distance_m[rows], column.sigma_m[rows], systematic_m)
 

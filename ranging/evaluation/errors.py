@@ -80,7 +80,7 @@ def coverage_only(methods: Mapping[str, MethodColumn]) -> dict[str, Any]:
     return {
         name: {
             **_figures(empty, empty),
-            "coverage": _fraction(np.isfinite(column.distance_m)),
+            "coverage": fraction(np.isfinite(column.distance_m)),
             "n": int(np.isfinite(column.distance_m).sum()),
             "median_sigma_pct": _sigma_pct(column, np.isfinite(column.distance_m)),
             "bands": [],
@@ -109,7 +109,7 @@ def score_rows(column: MethodColumn, true_m: FloatArray, rows: BoolArray) -> dic
     error = column.distance_m[measured] / true_m[measured] - 1
     in_sigmas = np.abs(column.distance_m - true_m)[measured] / column.sigma_m[measured]
     return {
-        "coverage": _fraction(measured[rows]),
+        "coverage": fraction(measured[rows]),
         "n": int(measured.sum()),
         **_figures(error, in_sigmas),
         "median_sigma_pct": _sigma_pct(column, measured),
@@ -126,10 +126,10 @@ def score_closing(closing_mps: FloatArray, sigma_mps: FloatArray, true_mps: Floa
     in_sigmas = np.abs(error_mps) / sigma_mps[measured]
     n = len(error_mps)
     return {
-        "coverage": _fraction(measured[rows]),
+        "coverage": fraction(measured[rows]),
         "n": n,
         **_statistics(error_mps, ("mean_error_mps", "median_error_mps", "bias_mps")),
-        **_within(in_sigmas),
+        **within_sigmas(in_sigmas),
         "median_sigma_mps": _rounded(np.median(sigma_mps[measured])) if n else None,
     }
 
@@ -143,7 +143,7 @@ def _sigma_pct(column: MethodColumn, measured: BoolArray) -> float | None:
 def _figures(error: FloatArray, in_sigmas: FloatArray) -> dict[str, Any]:
     """Metrics of relative errors (N,) and of errors in units of sigma (N,); None if N = 0."""
     names = ("mean_relative_error_pct", "median_relative_error_pct", "bias_pct")
-    return {**_statistics(error, names, scale=100), **_within(in_sigmas)}
+    return {**_statistics(error, names, scale=100), **within_sigmas(in_sigmas)}
 
 
 def _statistics(error: FloatArray, names: tuple[str, str, str], *, scale: int = 1) -> dict[str, float | None]:
@@ -154,13 +154,14 @@ def _statistics(error: FloatArray, names: tuple[str, str, str], *, scale: int = 
     return {name: _rounded(scale * value) for name, value in zip(names, values, strict=True)}
 
 
-def _within(in_sigmas: FloatArray) -> dict[str, float | None]:
+def within_sigmas(in_sigmas: FloatArray) -> dict[str, float | None]:
     """Fractions of errors (N,) in units of sigma within 1 and 2; NaN = sigma unknown."""
     known = in_sigmas[np.isfinite(in_sigmas)]
-    return {"within_1_sigma": _fraction(known <= 1), "within_2_sigma": _fraction(known <= 2)}
+    return {"within_1_sigma": fraction(known <= 1), "within_2_sigma": fraction(known <= 2)}
 
 
-def _fraction(mask: BoolArray) -> float | None:
+def fraction(mask: BoolArray) -> float | None:
+    """Fraction of (N,) values that are true; None if N = 0."""
     return _rounded(mask.mean()) if len(mask) else None
 
 

@@ -9,24 +9,28 @@ from track_range.foundation.options import Options, option
 from track_range.ranging.evaluation.reference_distance import ReferenceName
 from track_range.ranging.region import Region
 
+BoxesField = Annotated[
+    str,
+    option(
+        "Boxes to measure from: the labelled ones, or detections DIR/{Car,Pedestrian}/NAME.txt.",
+        metavar="labels|rrc:DIR",
+    ),
+]
+NoiseField = Annotated[
+    float,
+    option("Standard deviation in pixels of noise added to the edges of the boxes.", metavar="PX", ge=0.0, le=50.0),
+]
+NoiseSeedField = Annotated[int, option("Random seed for the noise.", ge=0)]
+
 
 class RangeEvaluationSettings(Options):
     """Methods, boxes and labels of `track-range evaluate ranges`."""
 
     labels: Annotated[Path, option("Folder of KITTI tracking labels, NAME.txt for each sequence.", metavar="DIR")]
     calib: Annotated[Path, option("Folder of KITTI calibration files with the same names.", metavar="DIR")]
-    boxes: Annotated[
-        str,
-        option(
-            "Boxes to measure distances from: the labelled ones, or detections DIR/{Car,Pedestrian}/NAME.txt.",
-            metavar="labels|rrc:DIR",
-        ),
-    ] = "labels"
-    noise_px: Annotated[
-        float,
-        option("Standard deviation in pixels of noise added to the edges of the boxes.", metavar="PX", ge=0.0, le=50.0),
-    ] = 0.0
-    seed: Annotated[int, option("Random seed for the noise.", ge=0)] = 0
+    boxes: BoxesField = "labels"
+    noise_px: NoiseField = 0.0
+    seed: NoiseSeedField = 0
     filter: Annotated[
         Literal["none", "paper", "default"], option("Filter of the distances of each track over time.")
     ] = "none"

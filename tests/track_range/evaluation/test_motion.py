@@ -146,7 +146,7 @@ def test_false_alarms_by_cause(drive):
     nan = np.full(len(boxes), np.nan)
     alarm = (boxes.frame >= 10) & (boxes.frame < 20)
     alarm &= (boxes.track_id == 1) | (boxes.frame != 15)  # two alarms for the car ahead
-    found = MeasuredMotion(true_m, closing, 0.5 + 0 * true_m, nan, nan, nan, nan, alarm)
+    found = MeasuredMotion(alarm, true_m, closing, 0.5 + 0 * true_m, nan, nan, nan)
     figures = motion_figures(truth, found)["warnings"]
     assert figures["false_alarms"] == 3
     assert figures["by_cause"] == {"driver": 2, "wrong path": 1}

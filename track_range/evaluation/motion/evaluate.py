@@ -20,34 +20,25 @@ def evaluate_motion(settings: MotionEvaluationSettings) -> dict[str, Any]:
     Raises LabelFileError, RigError: labels, poses or calibration cannot be used; UsageError: an unknown method, or
     folders that are missing.
     """
+    shown = {"labels": str(settings.labels), "data": settings.data}
     if settings.data == "tusimple":
         truth, measured, score = tusimple_motion(settings.labels)
-        figures = {**motion_figures(truth, measured), "velocity_score": score}
-        return {"labels": str(settings.labels), "data": settings.data, "n_boxes": len(truth.boxes), **figures} | {
-            "notes": [f"Truth: {truth.protocol}. Measured by runs with one camera."]
-        }
-    truth = _truth(settings)
-    options = MethodOptions(
-        is_cross_validated=settings.cross_validate,
-        box_sigma_px=settings.noise_px if settings.boxes == "labels" else None,
-    )
-    measured = measured_motion(
-        truth, settings.method, options, is_ego_known=settings.ego == "poses", look_ahead=settings.look_ahead
-    )
-    return {
-        "labels": str(settings.labels),
-        "data": settings.data,
-        "boxes": settings.boxes,
-        "noise_px": settings.noise_px,
-        "seed": settings.seed,
-        "method": settings.method,
-        "ego": settings.ego,
-        "look_ahead": settings.look_ahead,
-        "cross_validated": settings.cross_validate,
-        "n_boxes": len(truth.boxes),
-        **motion_figures(truth, measured),
-        "notes": [f"Truth: {truth.protocol}. Ego speed: {settings.ego}."],
-    }
+        figures, note = (
+            {**motion_figures(truth, measured), "velocity_score": score},
+            "Measured by runs with one camera.",
+        )
+    else:
+        truth = _truth(settings)
+        sigma_px = settings.noise_px if settings.boxes == "labels" else None
+        options = MethodOptions(is_cross_validated=settings.cross_validate, box_sigma_px=sigma_px)
+        is_ego_known = settings.ego == "poses"
+        measured = measured_motion(
+            truth, settings.method, options, is_ego_known=is_ego_known, look_ahead=settings.look_ahead
+        )
+        figures, note = motion_figures(truth, measured), f"Ego speed: {settings.ego}."
+        names = ("boxes", "noise_px", "seed", "method", "ego", "look_ahead")
+        shown |= {name: getattr(settings, name) for name in names} | {"cross_validated": settings.cross_validate}
+    return {**shown, "n_boxes": len(truth.boxes), **figures, "notes": [f"Truth: {truth.protocol}. {note}"]}
 
 
 def _truth(settings: MotionEvaluationSettings) -> LabelledMotion:

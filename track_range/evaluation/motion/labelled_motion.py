@@ -10,17 +10,17 @@ The labels of a track before and after are used whether they are visible or not,
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from track_range.detection.formats.errors import LabelFileError
-from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.files.input_files import read_text
 from track_range.ranging.fitting.labelled_boxes import FRAME_STEP_S, BoxSelection, BoxSet, box_set
 
-HALF_SPAN_S = 0.5  # s before and after a label over which its true motion is a straight line
+_HALF_SPAN_S = 0.5  # s before and after a label over which its true motion is a straight line
 _MIN_SIDE_S = 0.3  # shortest labelled time before and after a label whose motion is known
 _EGO_HALF_SPAN_S = 0.2  # the same for the ego speed, which is that of a wheel sensor
 
@@ -42,11 +42,6 @@ class LabelledMotion:
         """(N,) true time to collision, distance / closing speed, negative for objects that draw away; NaN = unknown."""
         is_moving = np.abs(self.closing_mps) > 1e-3
         return np.where(is_moving, self.boxes.distance_m / np.where(is_moving, self.closing_mps, 1.0), np.nan)
-
-    def select(self, rows: BoolArray | IntArray) -> LabelledMotion:
-        """The boxes selected by a mask or an index array."""
-        columns = {name: getattr(self, name)[rows] for name in ("closing_mps", "speed_mps", "ego_mps", "yaw_rad_s")}
-        return replace(self, boxes=self.boxes.select(rows), **columns)
 
 
 def kitti_motion(
@@ -126,7 +121,7 @@ def track_slopes(
     time_s: FloatArray,
     values: FloatArray,
     *,
-    half_span_s: float = HALF_SPAN_S,
+    half_span_s: float = _HALF_SPAN_S,
     min_side_s: float = _MIN_SIDE_S,
 ) -> FloatArray:
     """(N, V) slopes per second of the values (N, V) of each track, by straight lines within the half span.

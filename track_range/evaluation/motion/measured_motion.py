@@ -6,7 +6,7 @@ Methods measure each frame's boxes; the stage of a run fuses and filters them, a
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,14 +16,21 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.foundation.errors import UsageError
 from track_range.pipeline.stages import FusionStage
-from track_range.ranging.evaluation.box_methods import MethodOptions, as_frames, box_methods, measured_by
+from track_range.ranging.evaluation.box_methods import (
+    MethodOptions,
+    as_frames,
+    box_methods,
+    measured_by,
+    ranges_in_frame,
+)
 from track_range.ranging.evaluation.errors import MethodColumn
 from track_range.ranging.filtering.distance_filter import FilteredRanges, time_to_collision
+from track_range.ranging.filtering.lateral_motion import LateralMotion
 from track_range.ranging.filtering.look_ahead import combined
-from track_range.ranging.ranges import Ranges
 from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.ranging.world.object_motion import over_ground
 from track_range.stereo.odometry.ego_motion import EgoMotion
+from track_range.tracking.tracks import Tracks
 
 EGO_SIGMA_MPS = 0.05  # standard deviation of the ego speed, that of a wheel sensor
 
@@ -32,14 +39,13 @@ EGO_SIGMA_MPS = 0.05  # standard deviation of the ego speed, that of a wheel sen
 class MeasuredMotion:
     """Motion of N boxes as a run reports it; NaN = not measured."""
 
+    is_alarm: BoolArray
     distance_m: FloatArray
     closing_mps: FloatArray
     closing_sigma_mps: FloatArray
     ttc_s: FloatArray
     speed_mps: FloatArray  # over ground
     speed_sigma_mps: FloatArray
-    path_offset_m: FloatArray  # offset from the middle of the ego path, positive = right
-    is_alarm: BoolArray
 
 
 def measured_motion(
@@ -58,35 +64,40 @@ def measured_motion(
     if not set(names) <= set(known):
         raise UsageError(f"--method {method}: expected {' or '.join(known)}, or several of them with + between them.")
     boxes = motion.boxes
-    columns = measured_by(names, boxes, boxes, options)
-    distance_m, closing_mps, sigma_mps, ttc_s, speed_mps, speed_sigma_mps, offset_m = np.full((7, len(boxes)), np.nan)
-    is_alarm = np.zeros(len(boxes), np.bool_)
-    states = np.full((6, len(boxes)), np.nan)
     if not is_ego_known:
-        motion = replace(motion, ego_mps=distance_m.copy(), yaw_rad_s=distance_m.copy())  # NaN
-    for rows, tracks, frame, is_first in as_frames(boxes, boxes.class_id):
-        if is_first:
-            stage, warning = FusionStage(boxes.camera_at(rows[0])), CollisionWarning()
-        ego = _ego(motion, rows[0])
-        ranges = {name: _ranges(column, rows, tracks.track_id) for name, column in columns.items()}
-        state, lateral = stage.update(frame, tracks, ranges, ego)
-        alarm = warning.update(tracks, state, lateral, frame.time_s, ego_mps=ego.speed_mps, yaw_rad_s=ego.yaw_rad_s)
-        distance_m[rows], ttc_s[rows] = state.ranges.distance_m, state.ttc_s
-        closing_mps[rows], sigma_mps[rows] = -state.rate_mps, state.rate_sigma_mps
+        unknown = np.full(len(boxes), np.nan)
+        motion = replace(motion, ego_mps=unknown, yaw_rad_s=unknown)
+    columns = measured_by(names, boxes, boxes, options)
+    values, is_alarm = np.full((6, len(boxes)), np.nan), np.zeros(len(boxes), np.bool_)
+    forward = np.full((6, len(boxes)), np.nan)
+    sequence, warning = -1, CollisionWarning()
+    for rows, tracks, ego, state, lateral in _filtered(motion, columns):
+        if boxes.sequence[rows[0]] != sequence:
+            sequence, warning = int(boxes.sequence[rows[0]]), CollisionWarning()
+        time_s = float(boxes.time_s[rows[0]])
+        alarm = warning.update(tracks, state, lateral, time_s, ego_mps=ego.speed_mps, yaw_rad_s=ego.yaw_rad_s)
+        is_alarm[rows] = alarm.active
         ground = over_ground(state, lateral, tracks.class_id, ego)
-        speed_mps[rows], speed_sigma_mps[rows] = ground.speed_mps, ground.sigma_mps
-        offset_m[rows], is_alarm[rows] = alarm.path_offset_m, alarm.active
-        states[:, rows] = _state(state)
+        closing = (-state.rate_mps, state.rate_sigma_mps, state.ttc_s)
+        values[:, rows] = state.ranges.distance_m, *closing, ground.speed_mps, ground.sigma_mps
+        forward[:, rows] = _state(state)
     if look_ahead:
-        rate_mps, sigma_mps, ttc_s = _with_look_ahead(motion, columns, states)
-        closing_mps = -rate_mps
-    return MeasuredMotion(distance_m, closing_mps, sigma_mps, ttc_s, speed_mps, speed_sigma_mps, offset_m, is_alarm)
+        values[1:4] = _with_look_ahead(motion, columns, forward)
+    return MeasuredMotion(is_alarm, *values)
 
 
-def _ego(motion: LabelledMotion, row: int, sign: float = 1.0) -> EgoMotion:
-    """Motion of the camera in the frame of a box; `sign` -1 = backwards in time."""
-    speed_mps, yaw_rad_s = sign * float(motion.ego_mps[row]), sign * float(motion.yaw_rad_s[row])
-    return EgoMotion(speed_mps, EGO_SIGMA_MPS if math.isfinite(speed_mps) else math.nan, yaw_rad_s)
+def _filtered(
+    motion: LabelledMotion, columns: Mapping[str, MethodColumn], *, sign: int = 1
+) -> Iterator[tuple[IntArray, Tracks, EgoMotion, FilteredRanges, LateralMotion]]:
+    """Row indices, tracks, ego motion and filtered motion of each frame; `sign` -1 = backwards in time."""
+    boxes, sequence = motion.boxes, -1
+    for rows, tracks, frame, _ in list(as_frames(boxes, boxes.class_id))[::sign]:
+        if boxes.sequence[rows[0]] != sequence:
+            sequence, stage = int(boxes.sequence[rows[0]]), FusionStage(boxes.camera_at(rows[0]))
+        speed_mps, yaw_rad_s = sign * float(motion.ego_mps[rows[0]]), sign * float(motion.yaw_rad_s[rows[0]])
+        ego = EgoMotion(speed_mps, EGO_SIGMA_MPS if math.isfinite(speed_mps) else math.nan, yaw_rad_s)
+        ranges = {name: ranges_in_frame(column, tracks, rows) for name, column in columns.items()}
+        yield rows, tracks, ego, *stage.update(replace(frame, time_s=sign * frame.time_s), tracks, ranges, ego)
 
 
 def _state(filtered: FilteredRanges) -> FloatArray:
@@ -100,21 +111,10 @@ def _state(filtered: FilteredRanges) -> FloatArray:
 def _with_look_ahead(
     motion: LabelledMotion, columns: Mapping[str, MethodColumn], forward: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(N,) rates, sigmas and times to collision, from the forward states (6, N) and a filter backwards in time."""
-    boxes, backward = motion.boxes, np.full_like(forward, np.nan)
-    sequence = -1
-    for rows, tracks, frame, _ in reversed(list(as_frames(boxes, boxes.class_id))):
-        if boxes.sequence[rows[0]] != sequence:
-            sequence, stage = int(boxes.sequence[rows[0]]), FusionStage(boxes.camera_at(rows[0]))
-        ranges = {name: _ranges(column, rows, tracks.track_id) for name, column in columns.items()}
-        before = replace(frame, time_s=-frame.time_s)
-        backward[:, rows] = _state(stage.update(before, tracks, ranges, _ego(motion, rows[0], -1.0))[0])
+    """(N,) closing speeds, sigmas and times to collision, from forward states (6, N) and a filter backwards in time."""
+    backward = np.full_like(forward, np.nan)
+    for rows, _, _, filtered, _ in _filtered(motion, columns, sign=-1):
+        backward[:, rows] = _state(filtered)
     state = combined(ConstantVelocity(*forward[:5]), ConstantVelocity(*backward[:5]))
-    systematic = np.fmin(forward[5], backward[5])
     ttc_s, _ = time_to_collision(state.x, state.v, variances=(state.P_xx, state.P_xv, state.P_vv))
-    return state.v, np.sqrt(state.P_vv + systematic), ttc_s
-
-
-def _ranges(column: MethodColumn, rows: IntArray, track_id: IntArray) -> Ranges:
-    systematic_m = None if column.sigma_systematic_m is None else column.sigma_systematic_m[rows]
-    return Ranges(track_id, column.distance_m[rows], column.sigma_m[rows], systematic_m)
+    return -state.v, np.sqrt(state.P_vv + np.fmin(forward[5], backward[5])), ttc_s

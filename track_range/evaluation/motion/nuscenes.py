@@ -9,7 +9,6 @@ has the same size in all images, which is its identity. V is the speed of the ca
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from track_range.detection.classes import ROAD_CLASS_OF
 from track_range.detection.formats.errors import LabelFileError
 from track_range.evaluation.motion.labelled_motion import LabelledMotion, track_slopes
 from track_range.foundation.arrays import FloatArray
@@ -25,13 +25,7 @@ from track_range.foundation.files.structured_text import parse_json
 from track_range.ranging.evaluation.reference_distance import surface_distance_m
 from track_range.ranging.fitting.labelled_boxes import BoxSet
 
-CLASSES: Mapping[str, str] = {
-    "pedestrian": "person",
-    **{name: name for name in ("car", "truck", "bus", "bicycle", "motorcycle")},
-}
-"""Class in the results of the labelled classes; trailers, barriers and cones are not measured."""
-
-BORDER_PX = 2.0  # distance from the image border within which a box counts as cut
+_BORDER_PX = 2.0  # distance from the image border within which a box counts as cut
 _ALONG = 0.95  # smallest cosine of the angle between the camera's axis and its motion
 _HALF_SPAN_S, _MIN_SIDE_S = 0.6, 0.35  # of slopes: one label, half a second before and after
 
@@ -62,7 +56,7 @@ def read_mono3d(path: Path) -> Mono3dLabels:
 def _labels(content: Any) -> Mono3dLabels:
     names = {category["id"]: category["name"] for category in content["categories"]}
     image_of = {image["id"]: image for image in content["images"]}
-    rows = [row for row in content["annotations"] if names[row["category_id"]] in CLASSES]
+    rows = [row for row in content["annotations"] if names[row["category_id"]] in ROAD_CLASS_OF]
     images = [image_of[row["image_id"]] for row in rows]
     K = np.array([image["cam_intrinsic"] for image in images], np.float64)
     cameras, sequence = np.unique([image["file_name"].split("/")[-2] for image in images], return_inverse=True)
@@ -77,16 +71,8 @@ def _labels(content: Any) -> Mono3dLabels:
         size_hwl_m=size_hwl_m,
         rotation_y_rad=yaw_rad,
     )
-    ego, camera = (
-        (
-            Rotation.from_quat(
-                np.array([image[f"{name}_rotation"] for image in images]), scalar_first=True
-            ).as_matrix(),
-            np.array([image[f"{name}_translation"] for image in images])[:, :, None],
-        )
-        for name in ("ego2global", "cam2ego")
-    )
-    pose = np.concatenate([ego[0] @ camera[0], ego[0] @ camera[1] + ego[1]], axis=2)
+    ego, camera = _poses(images, "ego2global"), _poses(images, "cam2ego")
+    pose = (ego @ camera)[:, :3]
     size_px = np.array([(image["width"], image["height"]) for image in images])
     boxes = BoxSet(
         sequence_names=tuple(cameras.tolist()),
@@ -95,7 +81,7 @@ def _labels(content: Any) -> Mono3dLabels:
         time_s=time_s - time_s.min(),
         track_id=np.unique(size_hwl_m.round(3), axis=0, return_inverse=True)[1].reshape(-1),
         kitti_type=np.array([names[row["category_id"]] for row in rows]),
-        class_name=np.array([CLASSES[names[row["category_id"]]] for row in rows]),
+        class_name=np.array([ROAD_CLASS_OF[names[row["category_id"]]] for row in rows]),
         xyxy_px=np.stack([left, top, left + width, top + height], axis=1),
         fxycxy_px=K[:, [0, 1, 0, 1], [0, 1, 2, 2]],
         size_px=size_px,
@@ -106,11 +92,19 @@ def _labels(content: Any) -> Mono3dLabels:
         rotation_y_rad=yaw_rad,
         occluded=np.zeros(len(rows), np.int64),
     )
-    is_whole = (left > BORDER_PX) & (left + width < size_px[:, 0] - 1 - BORDER_PX) & np.isfinite(distance_m)
+    is_whole = (left > _BORDER_PX) & (left + width < size_px[:, 0] - 1 - _BORDER_PX) & np.isfinite(distance_m)
     chosen = np.flatnonzero(is_whole)[np.lexsort((boxes.frame[is_whole], sequence[is_whole]))]
     velocity_mps = np.array([row["velo_cam3d"] for row in rows], np.float64)
-    height_m = camera[1][:, 2, 0]
-    return Mono3dLabels(boxes.select(chosen), velocity_mps[chosen], pose[chosen], height_m[chosen])
+    return Mono3dLabels(boxes.select(chosen), velocity_mps[chosen], pose[chosen], camera[chosen, 2, 3])
+
+
+def _poses(images: list[Any], name: str) -> FloatArray:
+    """(N, 4, 4) rotations and translations of this name."""
+    pose = np.tile(np.eye(4), (len(images), 1, 1))
+    quaternions = np.array([image[f"{name}_rotation"] for image in images])
+    pose[:, :3, :3] = Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
+    pose[:, :3, 3] = [image[f"{name}_translation"] for image in images]
+    return pose
 
 
 def nuscenes_motion(path: Path, *, noise_px: float = 0.0, seed: int = 0) -> LabelledMotion:

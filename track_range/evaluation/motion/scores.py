@@ -20,13 +20,14 @@ import numpy as np
 from track_range.evaluation.motion.labelled_motion import LabelledMotion
 from track_range.evaluation.motion.measured_motion import MeasuredMotion
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.ranging.evaluation.errors import fraction, within_sigmas
 
 BANDS: Mapping[str, tuple[float, float]] = {"10-40": (10.0, 40.0), "40-80": (40.0, 80.0)}  # m
 MAX_SIGMA_MPS = 1.5  # largest sigma of an answer
 _TTC_LIMIT_S = 20.0  # to which measured times are clipped
 _STEP_S = 0.1  # interval of the size ratio s
 
-SCALE_ERROR, CLOSING_ERROR_MPS, PATH_HALF_WIDTH_M = 0.1, 1.5, 2.0
+_SCALE_ERROR, _CLOSING_ERROR_MPS, _PATH_HALF_WIDTH_M = 0.1, 1.5, 2.0
 """Cause of a false alarm: relative error of the distance, error of the closing speed, and lateral offset at which the
 object will truly pass, beyond which each is the cause, in this order."""
 
@@ -47,12 +48,12 @@ def _by_band_and_class(truth: LabelledMotion, values: FloatArray) -> dict[str, A
     """`speed_figures` of speeds, sigmas and true speeds (3, N) by distance band, and by class and band."""
     z, names = truth.boxes.distance_m, truth.boxes.class_name
     in_bands = {band: (z >= low) & (z < high) for band, (low, high) in BANDS.items()}
-    classes = list(dict.fromkeys(names[np.isfinite(values[2])].tolist()))
+    classes = np.unique(names[np.isfinite(values[2])]).tolist()
     return {
         "bands": {band: speed_figures(values, rows) for band, rows in in_bands.items()},
         "by_class": {
             name: {band: speed_figures(values, rows & (names == name)) for band, rows in in_bands.items()}
-            for name in sorted(classes)
+            for name in classes
         },
     }
 
@@ -63,17 +64,9 @@ def speed_figures(values: FloatArray, rows: BoolArray) -> dict[str, float | None
     known = rows & np.isfinite(true_mps)
     answered = known & np.isfinite(speed_mps) & (sigma_mps < MAX_SIGMA_MPS)
     error = np.abs(speed_mps - true_mps)[answered]
-    in_sigmas = error / sigma_mps[answered]
-    median, p95 = np.percentile(error, [50, 95]).tolist() if len(error) else (None, None)
-    within = [float((in_sigmas <= k).mean()) if len(error) else None for k in (1, 2)]
-    return {
-        "n": int(known.sum()),
-        "coverage": _rounded(float(answered.sum() / known.sum()) if known.any() else None),
-        "median_mps": _rounded(median),
-        "p95_mps": _rounded(p95),
-        "within_1_sigma": _rounded(within[0]),
-        "within_2_sigma": _rounded(within[1]),
-    }
+    median, p95 = np.percentile(error, [50, 95]).round(4).tolist() if len(error) else (None, None)
+    figures = {"n": int(known.sum()), "coverage": fraction(answered[known]), "median_mps": median, "p95_mps": p95}
+    return {**figures, **within_sigmas(error / sigma_mps[answered])}
 
 
 def ttc_figures(ttc_s: FloatArray, true_s: FloatArray, limit_s: float) -> dict[str, float | None]:
@@ -85,19 +78,15 @@ def ttc_figures(ttc_s: FloatArray, true_s: FloatArray, limit_s: float) -> dict[s
         T, true = np.clip(ttc_s[rows], -_TTC_LIMIT_S, _TTC_LIMIT_S), true_s[rows]
         relative = np.abs(T - true) / true
         mid = np.abs(np.log1p(_STEP_S / T) - np.log1p(_STEP_S / true))
-        figures = {
-            "median_pct": _rounded(100 * float(np.median(relative))),
-            "rte_pct": _rounded(100 * float(relative.mean())),
-            "mid": _rounded(1e4 * float(mid.mean())),
-        }
-    coverage = _rounded(float(rows.sum() / known.sum()) if known.any() else None)
-    return {"n": int(rows.sum()), "coverage": coverage, **figures}
+        values = 100 * np.median(relative), 100 * relative.mean(), 1e4 * mid.mean()
+        figures = dict(zip(figures, np.round(values, 4).tolist(), strict=True))
+    return {"n": int(rows.sum()), "coverage": fraction(rows[known]), **figures}
 
 
 def warning_figures(truth: LabelledMotion, measured: MeasuredMotion) -> dict[str, Any]:
     """Alarms per hour on drives without a contact, where each is false, the time in alarm, and counts by cause."""
-    first, last = alarm_spans(truth, measured)
-    causes = Counter(false_alarm_cause(truth, measured, row) for row in first.tolist())
+    first, last = _alarm_spans(truth, measured)
+    causes = Counter(_false_alarm_cause(truth, measured, row) for row in first.tolist())
     hours = truth.duration_s / 3600
     return {
         "hours": round(hours, 4),
@@ -108,7 +97,7 @@ def warning_figures(truth: LabelledMotion, measured: MeasuredMotion) -> dict[str
     }
 
 
-def alarm_spans(truth: LabelledMotion, measured: MeasuredMotion) -> tuple[IntArray, IntArray]:
+def _alarm_spans(truth: LabelledMotion, measured: MeasuredMotion) -> tuple[IntArray, IntArray]:
     """Row of the first, and of the last, box of each alarm."""
     boxes = truth.boxes
     rows = np.lexsort((boxes.frame, boxes.track_id, boxes.sequence))
@@ -120,18 +109,14 @@ def alarm_spans(truth: LabelledMotion, measured: MeasuredMotion) -> tuple[IntArr
     return rows[starts], rows[ends]
 
 
-def false_alarm_cause(truth: LabelledMotion, measured: MeasuredMotion, row: int) -> str:
+def _false_alarm_cause(truth: LabelledMotion, measured: MeasuredMotion, row: int) -> str:
     """What was wrong when an alarm began: "scale", "box error" (the speed), "wrong path", or else "driver" braked."""
     true_m, x_m = truth.boxes.distance_m[row], truth.boxes.x_m[row]
-    if abs(measured.distance_m[row] / true_m - 1) > SCALE_ERROR:
+    if abs(measured.distance_m[row] / true_m - 1) > _SCALE_ERROR:
         return "scale"
-    if not abs(measured.closing_mps[row] - truth.closing_mps[row]) <= CLOSING_ERROR_MPS:
+    if not abs(measured.closing_mps[row] - truth.closing_mps[row]) <= _CLOSING_ERROR_MPS:
         return "box error"
     # the ego path at the object, if the yaw rate remains
     ahead_s = true_m / max(truth.ego_mps[row], 2.0)
     offset_m = x_m - true_m * truth.yaw_rad_s[row] * ahead_s / 2
-    return "wrong path" if abs(offset_m) > PATH_HALF_WIDTH_M else "driver"
-
-
-def _rounded(value: float | None) -> float | None:
-    return None if value is None else round(value, 4)
+    return "wrong path" if abs(offset_m) > _PATH_HALF_WIDTH_M else "driver"

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from track_range.foundation.options import Options, option
+from track_range.ranging.evaluation.settings import BoxesField, NoiseField, NoiseSeedField
 
 
 class MotionEvaluationSettings(Options):
@@ -35,18 +36,9 @@ class MotionEvaluationSettings(Options):
             metavar="DIR",
         ),
     ] = None
-    boxes: Annotated[
-        str,
-        option(
-            "Boxes to measure from: the labelled ones, or detections DIR/{Car,Pedestrian}/NAME.txt.",
-            metavar="labels|rrc:DIR",
-        ),
-    ] = "labels"
-    noise_px: Annotated[
-        float,
-        option("Standard deviation in pixels of noise added to the edges of the boxes.", metavar="PX", ge=0.0, le=50.0),
-    ] = 0.0
-    seed: Annotated[int, option("Random seed for the noise.", ge=0)] = 0
+    boxes: BoxesField = "labels"
+    noise_px: NoiseField = 0.0
+    seed: NoiseSeedField = 0
     method: Annotated[
         str, option("Ranging method that needs only boxes, or several with +, which are fused.", metavar="NAME[+NAME]")
     ] = "mono"

@@ -19,7 +19,7 @@ from track_range.detection.boxes import iou
 from track_range.detection.formats.errors import LabelFileError
 from track_range.evaluation.motion.labelled_motion import LabelledMotion
 from track_range.evaluation.motion.measured_motion import MeasuredMotion
-from track_range.foundation.arrays import FloatArray
+from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.files.structured_text import read_json
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.evaluation.errors import MIN_IOU
@@ -44,27 +44,14 @@ def tusimple_motion(folder: Path) -> tuple[LabelledMotion, MeasuredMotion, dict[
     if not clips:
         raise LabelFileError(f"{folder}: expected clips of TuSimple with annotation.json and images, found none.")
     parts = [(labels, _measured(clip, labels)) for clip in clips if len(labels := _vehicles(clip))]
+    clip = np.repeat(np.arange(len(parts)), [len(labels) for labels, _ in parts])
     labels, measured = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-    box, position_m, velocity_mps = labels[:, :4], labels[:, 4:6], labels[:, 6:]
-    n, nan = len(labels), np.full(len(labels), np.nan)
-    boxes = BoxSet.without_3d_boxes(
-        sequence_names=("tusimple",),
-        sequence=np.zeros(n, np.int64),
-        frame=np.arange(n),
-        time_s=np.arange(n, dtype=np.float64),
-        track_id=np.arange(n),
-        kitti_type=np.full(n, "Car"),
-        class_name=np.full(n, "car"),
-        xyxy_px=box,
-        fxycxy_px=np.tile([CAMERA.fx_px, CAMERA.fy_px, CAMERA.cx_px, CAMERA.cy_px], (n, 1)),
-        size_px=np.tile([CAMERA.width_px, CAMERA.height_px], (n, 1)),
-        distance_m=position_m[:, 0],
-    )
+    position_m, velocity_mps, nan = labels[:, 4:6], labels[:, 6:], np.full(len(labels), np.nan)
     duration_s = _STEP_S * sum(len(_images(clip)) for clip in clips)
     protocol = "velocities of the labels in the last image of each clip"
-    truth = LabelledMotion(boxes, -velocity_mps[:, 0], nan, nan, nan, duration_s, protocol)
+    truth = LabelledMotion(vehicle_boxes(labels, clip), -velocity_mps[:, 0], nan, nan, nan, duration_s, protocol)
     distance_m, closing_mps, sigma_mps, ttc_s, lateral_mps = measured.T
-    answers = MeasuredMotion(distance_m, closing_mps, sigma_mps, ttc_s, nan, nan, nan, np.zeros(n, np.bool_))
+    answers = MeasuredMotion(np.zeros(len(labels), np.bool_), distance_m, closing_mps, sigma_mps, ttc_s, nan, nan)
     answer_mps = np.nan_to_num(np.stack([-closing_mps, lateral_mps], axis=1))
     return truth, answers, velocity_score(answer_mps, velocity_mps, position_m)
 
@@ -82,11 +69,33 @@ def _vehicles(clip: Path) -> FloatArray:
     """(N, 8) boxes, positions and velocities of the labels of a clip."""
     path = clip / "annotation.json"
     try:
-        vehicles = read_json(path, LabelFileError, "labels of TuSimple")
-        rows = [[*(v["bbox"][edge] for edge in _EDGES), *v["position"], *v["velocity"]] for v in vehicles]
-        return np.array(rows, np.float64).reshape(len(rows), 8)
+        return vehicle_columns(read_json(path, LabelFileError, "labels of TuSimple"))
     except (ValueError, KeyError, TypeError) as error:
         raise LabelFileError(f"{path}: expected vehicles with bbox, position and velocity, found others.") from error
+
+
+def vehicle_columns(vehicles: Any) -> FloatArray:
+    """(N, 8) boxes, positions and velocities of labelled vehicles; ValueError, KeyError or TypeError: others."""
+    rows = [[*(v["bbox"][edge] for edge in _EDGES), *v["position"], *v["velocity"]] for v in vehicles]
+    return np.array(rows, np.float64).reshape(len(rows), 8)
+
+
+def vehicle_boxes(labels: FloatArray, clip: IntArray) -> BoxSet:
+    """Boxes of the labels (N, 8) of the clips (N,), whose last images are separate ones."""
+    n = len(labels)
+    return BoxSet.without_3d_boxes(
+        sequence_names=("tusimple",),
+        sequence=np.zeros(n, np.int64),
+        frame=clip,
+        time_s=clip.astype(np.float64),
+        track_id=np.full(n, -1),
+        kitti_type=np.full(n, "Car"),
+        class_name=np.full(n, "car"),
+        xyxy_px=labels[:, :4],
+        fxycxy_px=np.tile([CAMERA.fx_px, CAMERA.fy_px, CAMERA.cx_px, CAMERA.cy_px], (n, 1)),
+        size_px=np.tile([CAMERA.width_px, CAMERA.height_px], (n, 1)),
+        distance_m=labels[:, 4],
+    )
 
 
 def _images(clip: Path) -> list[Path]:
