@@ -78,12 +78,6 @@ class SafetyMeasures:
     lane_index_sigma: FloatArray
     is_lead: BoolArray
 
-    @classmethod
-    def unknown(cls, n: int) -> SafetyMeasures:
-        """Measures of n tracks of which nothing is known."""
-        nan = np.full(n, np.nan)
-        return cls(nan, nan, nan, nan, nan, nan, nan, nan, nan, np.zeros(n, np.bool_))
-
     def select(self, rows: slice) -> SafetyMeasures:
         """The tracks in these rows."""
         return SafetyMeasures(*(getattr(self, field.name)[rows] for field in fields(self)))

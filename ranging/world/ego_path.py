@@ -52,11 +52,15 @@ class EgoPose:
 
 
 class EgoPath:
-    """Integrates the motion of the camera, frame by frame; a missing speed or yaw rate is bridged with the last one."""
+    """Integrates the motion of the camera, frame by frame.
+
+    A missing speed is that of the last frame, with a growing sigma; a missing yaw rate is 0, with the sigma of usual
+    lateral accelerations.
+    """
 
     def __init__(self) -> None:
         self._pose = EgoPose()
-        self._last = EgoMotion()
+        self._speed_mps = math.nan
         self._P, self._J = np.zeros((3, 3)), np.zeros((3, 2))
         self._time_s = self._known_s = math.nan
 
@@ -67,14 +71,14 @@ class EgoPath:
             self._known_s = time_s
         elif math.isnan(self._known_s):
             return self._pose
-        V = motion.speed_mps if math.isfinite(motion.speed_mps) else self._last.speed_mps
+        V = motion.speed_mps if math.isfinite(motion.speed_mps) else self._speed_mps
         sigma = motion.speed_sigma_mps if math.isfinite(motion.speed_sigma_mps) else _UNKNOWN_SPEED_SIGMA * abs(V)
         w, sigma_w = motion.yaw_rad_s, _YAW_NOISE_RAD_S
         if math.isnan(w):
             w, sigma_w = 0.0, _LATERAL_MPS2 / max(abs(V), _MIN_SPEED_MPS)
         if motion.is_still:
             V, sigma, w, sigma_w = 0.0, 0.0, 0.0, 0.0
-        self._last = EgoMotion(V, sigma, w)
+        self._speed_mps = V
         if math.isnan(self._pose.x_m):
             self._pose = EgoPose(0.0, 0.0, 0.0, np.zeros((3, 3)))
             return self._pose

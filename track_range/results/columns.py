@@ -20,9 +20,7 @@ from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import METHODS, methods
-from track_range.ranging.warning.safety import SafetyMeasures
-from track_range.ranging.warning.warnings import Warnings
-from track_range.ranging.world.object_motion import MOTION_STATES, ObjectMotion
+from track_range.ranging.world.object_motion import MOTION_STATES
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -108,19 +106,19 @@ def result_columns() -> tuple[ResultColumn, ...]:
         ResultColumn("ttc_sigma_s", "s", attrgetter("ttc_sigma_s")),
         ResultColumn("utc", "s", _of_frame("utc_s"), decimals=6),
         ResultColumn("ego_mps", "m/s", _of_frame("ego_mps")),
-        ResultColumn("contact_probability", "", _of_warnings("probability")),
-        ResultColumn("warning", "", _of_warnings("active"), "flag"),
-        ResultColumn("path_offset_m", "m", _of_warnings("path_offset_m")),
+        ResultColumn("contact_probability", "", _of_part("warnings.probability")),
+        ResultColumn("warning", "", _of_part("warnings.active", missing=False), "flag"),
+        ResultColumn("path_offset_m", "m", _of_part("warnings.path_offset_m")),
     )
     in_world = (
-        ResultColumn("speed_mps", "m/s", _of_motion("speed_mps")),
-        ResultColumn("speed_sigma_mps", "m/s", _of_motion("speed_sigma_mps")),
-        ResultColumn("heading_deg", "deg", _of_motion("heading_deg"), decimals=2),
-        ResultColumn("world_x_m", "m", _of_motion("world_x_m")),
-        ResultColumn("world_y_m", "m", _of_motion("world_y_m")),
-        ResultColumn("state", "", _of_motion("state"), "name", names=MOTION_STATES),
-        *(ResultColumn(name, unit, _of_safety(name)) for name, unit in SAFETY_UNITS.items()),
-        ResultColumn("is_lead", "", _of_safety("is_lead"), "flag"),
+        ResultColumn("speed_mps", "m/s", _of_part("motion.speed_mps")),
+        ResultColumn("speed_sigma_mps", "m/s", _of_part("motion.speed_sigma_mps")),
+        ResultColumn("heading_deg", "deg", _of_part("motion.heading_deg"), decimals=2),
+        ResultColumn("world_x_m", "m", _of_part("motion.world_x_m")),
+        ResultColumn("world_y_m", "m", _of_part("motion.world_y_m")),
+        ResultColumn("state", "", _of_part("motion.state"), "name", names=MOTION_STATES),
+        *(ResultColumn(name, unit, _of_part(f"safety.{name}")) for name, unit in SAFETY_UNITS.items()),
+        ResultColumn("is_lead", "", _of_part("safety.is_lead", missing=False), "flag"),
     )
     names = {column.name for column in columns}
     own = [column for column in _method_columns(is_built_in=True) if column.name not in names]
@@ -166,16 +164,15 @@ def _axis(name: str, axis: int) -> Callable[[FrameResult], Any]:
     return lambda result: values(result)[:, axis]
 
 
-def _of_warnings(name: str) -> Callable[[FrameResult], Any]:
-    return lambda result: getattr(result.warnings or Warnings.unknown(len(result.tracks)), name)
+def _of_part(path: str, *, missing: float | bool = math.nan) -> Callable[[FrameResult], Any]:
+    """Reads an array of a part of the result, such as "safety.gap_m"; `missing` in results without this part."""
+    part, name = path.split(".")
 
+    def read(result: FrameResult) -> Any:
+        values = getattr(result, part)
+        return np.full(len(result.tracks), missing) if values is None else getattr(values, name)
 
-def _of_motion(name: str) -> Callable[[FrameResult], Any]:
-    return lambda result: getattr(result.motion or ObjectMotion.unknown(len(result.tracks)), name)
-
-
-def _of_safety(name: str) -> Callable[[FrameResult], Any]:
-    return lambda result: getattr(result.safety or SafetyMeasures.unknown(len(result.tracks)), name)
+    return read
 
 
 def column_names() -> list[str]:

@@ -108,7 +108,8 @@ def test_frame_without_tracks() -> None:
 def test_time_to_collision_is_that_of_the_front_on_a_collision_course(
     ttc_front_s: float, offset_m: float, probability: float, text: str
 ) -> None:
-    safety = replace(SafetyMeasures.unknown(1), ttc_front_s=np.array([ttc_front_s]))
+    nan = np.full(1, np.nan)
+    safety = SafetyMeasures(nan, np.array([ttc_front_s]), *[nan] * 7, np.zeros(1, np.bool_))
     warnings = Warnings(np.array([probability]), np.zeros(1, np.bool_), np.array([offset_m]))
     shown = result([BOX], closing=(20.5, 0.7), safety=safety, warnings=warnings)
     [span] = label_lines(shown, 0, class_names=ROAD_CLASSES, sizes_px=(16, 11))[-1]

@@ -21,6 +21,7 @@ from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.warning.safety import (
     HALF_WIDTH_M,
     TTC_LIMIT_S,
+    SafetyMeasures,
     SafetyMonitor,
     apart_m,
     post_encroachment_s,
@@ -32,11 +33,10 @@ _NEAR_M, _NEAR_FRACTION = 2.0, 0.15
 """Largest difference in distance between two tracks of one object: metres, plus a fraction of the distance."""
 
 _NEAR_ACROSS_M = 1.5  # largest lateral difference between two tracks of one object, m
-_SITUATION = (
-    *("distance_m", "sigma_m", "gap_m", "closing_mps", "ttc_s", "headway_s", "probability", "apart_m"),
-    *("drac_mps2", "mdrac_mps2"),
-)
-_SMALLEST, _LARGEST = ("ttc_s", "headway_s", "gap_m"), ("closing_mps", "probability", "drac_mps2", "mdrac_mps2")
+_SITUATION = ("distance_m", "sigma_m", "closing_mps", "probability", "apart_m")
+_MEASURES = ("gap_m", "ttc_front_s", "headway_s", "drac_mps2", "mdrac_mps2")
+_SMALLEST = ("gap_m", "ttc_front_s", "headway_s")
+_LARGEST = ("closing_mps", "probability", "drac_mps2", "mdrac_mps2")
 _PATH_S = 30.0  # time for which positions of tracks are kept, s
 _MARGIN_M = 0.3  # distance from the edge of the ego path at which an object is clearly in it or beside it, m
 _PERSON = ROAD_CLASSES.index("person")
@@ -58,15 +58,11 @@ class Situation:
 
     distance_m: FloatArray  # filtered, else measured
     sigma_m: FloatArray
-    gap_m: FloatArray  # `SafetyMeasures`, and of the rest that are on the path
-    headway_s: FloatArray
-    drac_mps2: FloatArray
-    mdrac_mps2: FloatArray
-    ttc_s: FloatArray  # `ttc_front_s`
     closing_mps: FloatArray
     offset_m: FloatArray  # lateral, from the ego path
     apart_m: FloatArray  # between the edges of object and ego path, negative = the object is in the path
     probability: FloatArray  # of contact
+    safety: SafetyMeasures
 
     @classmethod
     def of(cls, result: FrameResult) -> Situation:
@@ -91,19 +87,12 @@ class Situation:
             ego_mps=result.ego_mps,
             warnings=warnings,
         )
-        return cls(
-            distance_m,
-            sigma_m,
-            safety.gap_m,
-            safety.headway_s,
-            safety.drac_mps2,
-            safety.mdrac_mps2,
-            safety.ttc_front_s,
-            result.closing_mps,
-            offset_m,
-            apart_m(offset_m, class_id),
-            warnings.probability,
-        )
+        apart = apart_m(offset_m, class_id)
+        return cls(distance_m, sigma_m, result.closing_mps, offset_m, apart, warnings.probability, safety)
+
+    def values(self, row: int, names: Iterable[str]) -> dict[str, float]:
+        """Values of a track, of the situation and of its `SafetyMeasures`, by name."""
+        return {name: float(getattr(self.safety if name in _MEASURES else self, name)[row]) for name in names}
 
 
 class Conditions:
@@ -134,23 +123,26 @@ class Conditions:
         has_cut_in = came & (time_s - entered_s <= settings.cut_in_s)
         cuts_in = active & (came & (apart_m > -_MARGIN_M) | has_cut_in)
         is_fast = ego_mps >= settings.min_ego_mps
-        is_close = is_along & is_in_path & is_fast & (now.headway_s < settings.close_headway_s)
+        is_close = is_along & is_in_path & is_fast & (now.safety.headway_s < settings.close_headway_s)
         own_mps = np.nan_to_num(ego_mps) - now.closing_mps
         is_critical = (now.probability >= settings.near_miss_probability) & (np.abs(own_mps) < _MAX_SPEED_MPS)
         is_oncoming = own_mps < (-_MIN_ALONG_MPS if math.isfinite(ego_mps) else -math.inf)
         return {
             "forward_collision": active & (classes != _PERSON) & ~cuts_in,
             "pedestrian_on_path": active & (classes == _PERSON),
-            "cut_in": cuts_in | (has_cut_in & is_in_path & is_fast & (now.headway_s < settings.cut_in_headway_s)),
+            "cut_in": cuts_in
+            | (has_cut_in & is_in_path & is_fast & (now.safety.headway_s < settings.cut_in_headway_s)),
             "close_following": is_close,
             "hard_approach": is_vehicle
             & is_in_path
             & is_critical
             & ~is_oncoming
             & (now.closing_mps > _MIN_CLOSING_MPS)
-            & (now.drac_mps2 > settings.hard_approach_mps2)
-            & (now.drac_mps2 < _MAX_BRAKING_MPS2),
-            "near_miss": is_critical & (now.ttc_s < settings.near_miss_ttc_s) & (is_vehicle | (classes == _PERSON)),
+            & (now.safety.drac_mps2 > settings.hard_approach_mps2)
+            & (now.safety.drac_mps2 < _MAX_BRAKING_MPS2),
+            "near_miss": is_critical
+            & (now.safety.ttc_front_s < settings.near_miss_ttc_s)
+            & (is_vehicle | (classes == _PERSON)),
         }
 
 
@@ -281,7 +273,7 @@ class EventFinder:
     def _extend(self, kind: EventKind, result: FrameResult, now: Situation, row: int) -> None:
         """Continue the event of this kind that the track in this row belongs to, or start one."""
         track_id, class_id = int(result.tracks.track_id[row]), int(result.tracks.class_id[row])
-        values = {name: float(getattr(now, name)[row]) for name in _SITUATION} | {"ego_mps": result.ego_mps}
+        values = now.values(row, (*_SITUATION, *_MEASURES)) | {"ego_mps": result.ego_mps}
         distance_m, offset_m, time_s = values["distance_m"], float(now.offset_m[row]), result.time_s
         group = int(SAME_OBJECT_GROUP[class_id])
         event = self._same(kind, track_id, result, distance_m, offset_m, group)
@@ -292,10 +284,10 @@ class EventFinder:
         if track_id not in event.track_ids:
             event.track_ids.add(track_id)
             event.paths += [self._paths[track_id]] if track_id in self._paths else []
-        if values["ttc_s"] < TTC_LIMIT_S:
+        if values["ttc_front_s"] < TTC_LIMIT_S:
             dt = min(time_s - event.exposed_s, self.settings.max_gap_s) if math.isfinite(event.exposed_s) else 0.0
             event.tet_s += dt
-            event.tit_s2 += dt * (TTC_LIMIT_S - values["ttc_s"])
+            event.tit_s2 += dt * (TTC_LIMIT_S - values["ttc_front_s"])
         event.exposed_s = time_s
         is_active = result.warnings is not None and bool(result.warnings.active[row])
         if is_active and kind in WARNING_KINDS and math.isnan(event.warning_s):
@@ -309,8 +301,8 @@ class EventFinder:
             extremes[name] = float(np.fmax(extremes.get(name, math.nan), values[name]))
         if kind in ("close_following", "cut_in") and math.isfinite(values["headway_s"]):
             criticality = -values["headway_s"]
-        elif math.isfinite(values["ttc_s"]):
-            criticality = -values["ttc_s"]
+        elif math.isfinite(values["ttc_front_s"]):
+            criticality = -values["ttc_front_s"]
         else:
             criticality = -1e3 - float(np.nan_to_num(values["gap_m"]))
         if not event.peak or criticality > event.criticality:
@@ -339,9 +331,9 @@ class EventFinder:
 
 def _follow(event: _Open, result: FrameResult, now: Situation) -> None:
     """Store where the object of a near miss is."""
-    for row in np.flatnonzero(np.isin(result.tracks.track_id, list(event.track_ids)) & np.isfinite(now.gap_m)):
-        places = {name: float(getattr(now, name)[row]) for name in ("gap_m", "closing_mps", "apart_m")}
-        event.last_seen = {"time_s": result.time_s, **places}
+    is_seen = np.isin(result.tracks.track_id, list(event.track_ids)) & np.isfinite(now.safety.gap_m)
+    for row in np.flatnonzero(is_seen).tolist():
+        event.last_seen = {"time_s": result.time_s, **now.values(row, ("gap_m", "closing_mps", "apart_m"))}
 
 
 def _event(event: _Open) -> Event:
@@ -357,7 +349,7 @@ def _event(event: _Open) -> Event:
         class_name=ROAD_CLASSES[event.peak_class],
         min_distance_m=extremes["distance_m"],
         min_distance_sigma_m=extremes["sigma_m"],
-        min_ttc_s=extremes["ttc_s"],
+        min_ttc_s=extremes["ttc_front_s"],
         closing_mps=extremes["closing_mps"],
         ego_mps=peak["ego_mps"],
         probability=extremes["probability"],
@@ -367,7 +359,8 @@ def _event(event: _Open) -> Event:
         **{name: extremes[name] for name in ("gap_m", "drac_mps2", "mdrac_mps2")},
         tet_s=event.tet_s,
         tit_s2=event.tit_s2,
-        **{f"peak_{name}": peak[name] for name in ("distance_m", "closing_mps", "ttc_s", "headway_s", "probability")},
+        **{f"peak_{name}": peak[name] for name in ("distance_m", "closing_mps", "headway_s", "probability")},
+        peak_ttc_s=peak["ttc_front_s"],
     )
 
 
@@ -378,7 +371,9 @@ def _reason(event: _Open) -> str:
         where = (
             "ahead" if event.kind == "forward_collision" else "on the path" if first["apart_m"] < 0 else "near the path"
         )
-        when = f": contact in {first['ttc_s']:.1f} s without braking" if math.isfinite(first["ttc_s"]) else ""
+        when = (
+            f": contact in {first['ttc_front_s']:.1f} s without braking" if math.isfinite(first["ttc_front_s"]) else ""
+        )
         return f"{name} {where} at {first['distance_m']:.0f} m{_closing(first)}{when}."
     if event.kind == "cut_in":
         headway = f", at a headway of {peak['headway_s']:.1f} s" if math.isfinite(peak["headway_s"]) else ""
@@ -391,7 +386,7 @@ def _reason(event: _Open) -> str:
     if event.kind == "hard_approach":
         needed = f"needed braking at {peak['drac_mps2']:.1f} m/s²"
         return f"{name} ahead at {peak['distance_m']:.0f} m{_closing(peak)}: {needed}."
-    return f"{name} at {peak['distance_m']:.0f} m: contact was {peak['ttc_s']:.1f} s away and did not happen."
+    return f"{name} at {peak['distance_m']:.0f} m: contact was {peak['ttc_front_s']:.1f} s away and did not happen."
 
 
 def _closing(values: dict[str, float]) -> str:
