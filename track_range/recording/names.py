@@ -33,14 +33,18 @@ class BagTopic:
         return str(self.path) if self.topic is None else f"{self.path} ({self.topic})"
 
 
-StereoLayout = Literal["side-by-side", "right-left", "top-bottom", "bottom-top", "tracks"]
-"""Where a recording of two cameras has their images: beside or below each other, the left camera's first or second, or
-in two video tracks."""
+PackedLayout = Literal["side-by-side", "right-left", "top-bottom", "bottom-top"]
+"""Where one image has those of two cameras: beside or below each other, the left camera's first or second."""
+
+STACKED: tuple[PackedLayout, ...] = ("top-bottom", "bottom-top")  # below each other
+REVERSED: tuple[PackedLayout, ...] = ("right-left", "bottom-top")  # the right camera's first
+
+StereoLayout = Literal[PackedLayout, "tracks"]  # the same, or in two video tracks of a recording
+
+LayoutOption = Literal["auto", StereoLayout]
 
 Bayer = Literal["rggb", "bggr", "gbrg", "grbg"]
 """Colours of the first two pixels of the first two rows of an image behind a Bayer filter."""
-
-LayoutOption = Literal["auto", "side-by-side", "right-left", "top-bottom", "bottom-top", "tracks"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +58,7 @@ class VideoTrack:
         return f"{self.recording} (video track {self.number})"
 
 
-WholeName = Path | LiveAddress | Segments | BagTopic  # a source of all images of a recording
+WholeName = Path | LiveAddress | Segments | BagTopic | VideoTrack  # a source of all images of a recording
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +66,7 @@ class Half:
     """The images of one camera in a recording whose images show those of both."""
 
     recording: WholeName
-    layout: StereoLayout
+    layout: PackedLayout
     is_right: bool
 
     def __str__(self) -> str:
@@ -72,7 +76,7 @@ class Half:
 RecordedName = Path | Segments | BagTopic | VideoTrack | Half
 """A video file, folder, pattern such as `DIR/*_F.mp4`, several files, a topic of a bag, or a part of these."""
 
-VideoName = WholeName | VideoTrack | Half  # any source of one camera's images
+VideoName = WholeName | Half  # any source of one camera's images
 
 
 def video_name(name: str | VideoName | Sequence[str | Path]) -> VideoName:

@@ -30,9 +30,10 @@ from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.foundation.arrays import Image
 from track_range.foundation.files.output_files import make_folder, write_text
 from track_range.simulation.camera.drive_files import (
+    PackedWriter,
     disparity_map,
+    image_writer,
     object_map,
-    pair_writer,
     with_even_size,
     write_masks,
     write_png,
@@ -123,15 +124,18 @@ def write_drive(
     left_times_s: list[float] = []
     labels: list[KittiLabels] = []
     rows: list[str] = []
+    layout = options.stereo_layout
+    packed = None if layout is None else PackedWriter(drive.left, rig.left, fps, layout)
     with (
-        closing(pair_writer(drive.left, drive.right, rig.left, fps, options.stereo_layout)) as writer,
+        closing(packed or image_writer(drive.left, rig.left, fps)) as left,
+        closing(packed or image_writer(drive.right, rig.left, fps)) as right,
         ThreadPoolExecutor(N_THREADS) as pool,
     ):
         for number, left_image, right_image in _rendering(pool, renderer, times_s, options):
             time_s = times_s[number]
             if left_image is not None:
                 image, inverse_depth, *part_labels = left_image.result()
-                writer.write_left(image, time_s)
+                left.write(image, time_s)
                 visible = visible_objects(scene, time_s, frame=len(rows), camera=camera, inverse_depth=inverse_depth)
                 left_times_s.append(time_s)
                 labels.append(visible.labels)
@@ -145,7 +149,7 @@ def write_drive(
                     _write_kitti_2015(folder / "obj_map", number, objects)
             if right_image is not None:
                 image = right_image.result()
-                writer.write_right(image, time_s)  # the timestamp ignores a delay of the right camera
+                right.write(image, time_s)  # the timestamp ignores a delay of the right camera
                 if options.disparity:
                     _write_kitti_2015(folder / "image_3", number, image)
             if progress is not None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from track_range.foundation.options import Options, option
+from track_range.recording.names import PackedLayout
 
 SCENARIO_NAMES = (
     *("town", "highway", "city", "cut-in", "crossing", "queue", "empty", "night"),
@@ -77,7 +78,7 @@ class _Recording(Options):
         bool, option("Folders of PNG images, left/ and right/, instead of H.264 videos.", panel=_OUTPUT)
     ] = False
     stereo_layout: Annotated[
-        Literal["side-by-side", "right-left", "top-bottom", "bottom-top"] | None,
+        PackedLayout | None,
         option(
             "One video with the images of both cameras, both.mp4, instead of left.mp4 and right.mp4: where they are.",
             panel=_OUTPUT,

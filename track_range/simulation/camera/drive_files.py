@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.foundation.files.output_files import make_folder, write_bytes
-from track_range.recording.names import StereoLayout
+from track_range.recording.names import REVERSED, STACKED, PackedLayout
 from track_range.simulation.world.scene import Scene
 from track_range.simulation.world.truth import VisibleObjects
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -56,49 +56,25 @@ def image_writer(path: Path, camera: PinholeCamera, fps: float) -> VideoWriter |
     return PngFolder(path, fps=fps)
 
 
-class PairWriter:
-    """Writes the images of both cameras, into two files, or with a `layout` into one."""
+class PackedWriter:
+    """Writes the left and right images of equal times, which are passed in this order, as one each."""
 
-    def __init__(
-        self, left: VideoWriter | PngFolder, right: VideoWriter | PngFolder, layout: StereoLayout | None
-    ) -> None:
-        self._left, self._right, self._layout = left, right, layout
-        self._image: Image | None = None  # left image that waits for the right one
+    def __init__(self, path: Path, camera: PinholeCamera, fps: float, layout: PackedLayout) -> None:
+        self._axis, self._order = int(layout not in STACKED), -1 if layout in REVERSED else 1
+        n_rows, n_columns = (2, 1) if layout in STACKED else (1, 2)
+        both = replace(camera, width_px=n_columns * camera.width_px, height_px=n_rows * camera.height_px)
+        self._writer = image_writer(path, both, fps)
+        self._last: tuple[Image, float] | None = None  # the last image that was passed, and its time
 
-    def write_left(self, image: Image, time_s: float) -> None:
-        """Write an image of the left camera."""
-        self._image = image
-        if self._layout is None:
-            self._left.write(image, time_s)
-
-    def write_right(self, image: Image, time_s: float) -> None:
-        """Write an image of the right camera, and in one file that of the left one."""
-        if self._layout is None:
-            self._right.write(image, time_s)
-        elif self._image is not None:
-            self._left.write(_packed(self._image, image, self._layout), time_s)
-        self._image = None
+    def write(self, image: Image, time_s: float) -> None:
+        """Write an image with the one before, if that is of the same time."""
+        before, self._last = self._last, (image, time_s)
+        if before is not None and before[1] == time_s:
+            self._writer.write(np.concatenate((before[0], image)[:: self._order], self._axis), time_s)
 
     def close(self) -> None:
-        """Finish the files."""
-        self._left.close()
-        self._right.close()
-
-
-def _packed(left: Image, right: Image, layout: StereoLayout) -> Image:
-    first, second = (right, left) if layout in ("right-left", "bottom-top") else (left, right)
-    return np.concatenate((first, second), axis=0 if layout in ("top-bottom", "bottom-top") else 1)
-
-
-def pair_writer(left: Path, right: Path, camera: PinholeCamera, fps: float, layout: StereoLayout | None) -> PairWriter:
-    """A writer of the two files, or of `left` alone with a layout."""
-    if layout is None:
-        return PairWriter(image_writer(left, camera, fps), image_writer(right, camera, fps), layout)
-    is_stacked = layout in ("top-bottom", "bottom-top")
-    n_columns, n_rows = (1, 2) if is_stacked else (2, 1)
-    both = replace(camera, width_px=n_columns * camera.width_px, height_px=n_rows * camera.height_px)
-    writer = image_writer(left, both, fps)
-    return PairWriter(writer, writer, layout)
+        """Finish the file; a second call does nothing."""
+        self._writer.close()
 
 
 def write_png(path: Path, image: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]) -> None:
