@@ -35,7 +35,7 @@ from track_range.stereo.geometry.image_size import (
 )
 from track_range.stereo.geometry.rectification import Rectifier, Undistorter
 from track_range.stereo.geometry.rig import Mounting, RigError, StereoRig
-from track_range.stereo.geometry.rig_checks import check_camera, check_rig
+from track_range.stereo.geometry.rig_checks import RigCalibration, check_camera, check_rig
 from track_range.stereo.geometry.virtual_pinhole import field_of_view
 from track_range.stereo.rig_formats.camera_info import camera_of, is_undistorted, rig_of
 from track_range.stereo.rig_formats.reading import find_rig, load_camera, load_rig, read_calibration
@@ -269,8 +269,9 @@ def find_calibration(
         path = None if first_file is None else find_rig(first_file)
         search_notes = () if path is None else (f"Using calibration {path} found next to the left video.",)
     if path is not None:
-        aspect = _pixel_aspect(videos, read_calibration(path, is_grey=videos[0].is_grey, is_pair=False).left)
-        loaded = _loaded(path, sizes_px, view, is_grey=videos[0].is_grey, aspect=aspect)
+        content = read_calibration(path, is_grey=videos[0].is_grey, is_pair=False)
+        aspect = _pixel_aspect(videos, content.left)
+        loaded = _loaded(path, content, sizes_px, view, is_grey=videos[0].is_grey, aspect=aspect)
         return replace(loaded, search_notes=search_notes, pixel_aspect=aspect)
     _check_view(None, view)
     return _without_file(left, videos, sizes_px, focal_px, _pixel_aspect(videos))
@@ -292,7 +293,8 @@ def calibration_of(
     Raises RigError if the file cannot be used, the cameras do not fit the images, or as `find_calibration`.
     """
     if isinstance(cameras, Path):
-        return _loaded(cameras, sizes_px, view, is_grey=False)
+        content = read_calibration(cameras, is_grey=False, is_pair=False)
+        return _loaded(cameras, content, sizes_px, view, is_grey=False)
     return _of_models(cameras, None, sizes_px, view)
 
 
@@ -351,8 +353,9 @@ def _sizes_of(camera: PinholeCamera, sizes_px: Sizes, aspect: float) -> Sizes:
     return min(candidates, key=lambda sizes: abs(math.log(own * sizes[0][1] / sizes[0][0])))
 
 
-def _loaded(path: Path, sizes_px: Sizes, view: LensView, *, is_grey: bool, aspect: float = 1.0) -> RecordingCalibration:
-    content = read_calibration(path, is_grey=is_grey, is_pair=False)
+def _loaded(
+    path: Path, content: RigCalibration, sizes_px: Sizes, view: LensView, *, is_grey: bool, aspect: float = 1.0
+) -> RecordingCalibration:
     fitted_px = _sizes_of(content.left, sizes_px, aspect)
     cameras: StereoRig | PinholeCamera
     if len(sizes_px) > 1:
