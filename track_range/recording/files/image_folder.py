@@ -25,12 +25,6 @@ from track_range.recording.names import Bayer
 from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.utc import ZONE_SPAN_S, UtcStart
 
-BAYER_CODES = {
-    "rggb": cv2.COLOR_BayerRGGB2BGR,
-    "bggr": cv2.COLOR_BayerBGGR2BGR,
-    "gbrg": cv2.COLOR_BayerGBRG2BGR,
-    "grbg": cv2.COLOR_BayerGRBG2BGR,
-}
 _DARK = 257  # largest values below are those of dark images with 16 bits
 
 
@@ -160,7 +154,8 @@ def _shift_of(image: npt.NDArray[Any]) -> int:
 def _reduced(image: npt.NDArray[Any], shift: int, bayer: Bayer | None) -> Image:
     """The image as (H, W, 3) uint8 BGR."""
     reduced = np.minimum(image >> shift, 255).astype(np.uint8) if image.dtype == np.uint16 else image
-    return np.asarray(reduced if bayer is None else cv2.cvtColor(reduced, BAYER_CODES[bayer]), np.uint8)
+    colours = reduced if bayer is None else cv2.cvtColor(reduced, getattr(cv2, f"COLOR_Bayer{bayer.upper()}2BGR"))
+    return np.asarray(colours, np.uint8)
 
 
 def _state(path: Path) -> tuple[int, int]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import deque
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Generator, Iterator
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from fractions import Fraction
@@ -90,7 +90,7 @@ class VideoFile(RecordedVideo):
         container, stream = self._reading.container, self._reading.stream
         self._log = self._reading.log
         self.fps = self._reading.fps
-        self.tracks_px = self._reading.tracks_px
+        self.tracks_px = self._reading.tracks_px if track is None else ()
         self._file_notes: list[str] = [f"{path}: {note}" for note in self._reading.notes]
         self._has_grown = False
         self._first = next(iter(self._reading), None)
@@ -119,7 +119,7 @@ class VideoFile(RecordedVideo):
                 self.pixel_aspect = stated
             else:
                 self._file_notes.append(f"{path}: the stated pixel aspect of {stated:.3g} is ignored.")
-        self.stated_layout = _stated_layout(frame, self.metadata)
+        self.stated_layout = _stated_layout(frame)
         image = DecodedImage(frame, self._axes).to_bgr()
         self.height_px, self.width_px = image.shape[:2]
         self.is_grey, self.first_image = is_neutral(image), image
@@ -250,17 +250,14 @@ class _Reading:
             )
         self.stream = _prepared(tracks[number])
         self.log = DecodeLog()
-        self.notes: list[str] = [
-            f"video track {other} ({width_px}x{height_px} px) is left out, track {number} is used; --track chooses "
-            "another one"
-            + (
-                ", and --stereo FILE uses two of equal size as left and right."
-                if (width_px, height_px) == self.tracks_px[number]
-                else "."
-            )
-            for other, (width_px, height_px) in enumerate(self.tracks_px)
-            if other != number and track is None
-        ]
+        self.notes: list[str] = []
+        for other, size_px in enumerate(self.tracks_px if track is None else ()):
+            if other != number:
+                is_equal = size_px == self.tracks_px[number]
+                self.notes.append(
+                    f"video track {other} ({size_px[0]}x{size_px[1]} px) is left out, track {number} is used; --track "
+                    f"chooses another one{', and --stereo FILE uses two of equal size as left and right' * is_equal}."
+                )
         rates_hz = [float(rate) for rate in (self.stream.average_rate, self.stream.guessed_rate) if rate]
         plausible_hz = [rate_hz for rate_hz in rates_hz if _MIN_RATE_HZ <= rate_hz <= _MAX_RATE_HZ]
         self.fps = plausible_hz[0] if plausible_hz else _FALLBACK_RATE_HZ
@@ -405,21 +402,13 @@ _STEREO_3D: dict[tuple[int, int], StereoLayout] = {
 """Layouts by the type and the flag `inverted` of FFmpeg's AVStereo3D, from the frame packing of H.264 and HEVC, the
 StereoMode of Matroska, and the boxes st3d and vexu of MP4."""
 
-_STEREO_MODES: dict[str, StereoLayout] = {
-    "left_right": "side-by-side",
-    "right_left": "right-left",
-    "top_bottom": "top-bottom",
-    "bottom_top": "bottom-top",
-}
-"""Layouts by FFmpeg's names of Matroska's StereoMode."""
 
-
-def _stated_layout(frame: av.VideoFrame, metadata: Mapping[str, str]) -> StereoLayout | None:
+def _stated_layout(frame: av.VideoFrame) -> StereoLayout | None:
     """The layout of a stereo image that a file states; None = none."""
     try:
         side = cast(SideDataContainer, frame.side_data)[SideDataType.STEREO3D]
     except KeyError:
-        return _STEREO_MODES.get(metadata.get("stereo_mode", ""))
+        return None
     kind, flags = (int(value) for value in np.frombuffer(bytes(side), np.int32)[:2])
     return _STEREO_3D.get((kind, flags & 1))
 
