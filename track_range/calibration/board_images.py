@@ -23,11 +23,11 @@ from track_range.detection.formats.image_labels.labelled_images import ImageFile
 from track_range.foundation.arrays import Image
 from track_range.foundation.files.images import IMAGE_SUFFIXES
 from track_range.recording.frame import TIME_EPSILON_S
-from track_range.recording.names import LayoutOption, StereoLayout, VideoTrack
+from track_range.recording.names import LayoutOption, StereoLayout
 from track_range.recording.open_video import open_video
-from track_range.recording.pairs.packed_pair import PackedPair
+from track_range.recording.pairs.packed_pair import PackedPair, pair_in
 from track_range.recording.pairs.recorded_pair import RecordedPair
-from track_range.recording.pairs.stereo_layout import find_layout, matching_halves, stereo_tracks
+from track_range.recording.pairs.stereo_layout import find_layout, matching_halves
 from track_range.recording.pairs.video_half import image_half
 from track_range.recording.segments.segment_times import natural_key
 from track_range.stereo.calibration.board_views import RejectedView
@@ -90,16 +90,11 @@ class VideoShots:
     def __init__(self, paths: Sequence[Path], layout: LayoutOption = "auto") -> None:
         self.files = tuple(paths)
         self._pair: PackedPair | RecordedPair | None = None
-        first = open_video(paths[0])
-        self._first = first
-        if len(paths) > 1:
-            chosen = find_layout(first, layout).layout if paths[0] == paths[1] else None
-            if chosen == "tracks":
-                left, right = (open_video(VideoTrack(paths[0], number)) for number in stereo_tracks(first)[:2])
-                self._pair = RecordedPair(left, right)
-            else:
-                packed = None if chosen is None else PackedPair(first, paths[0], chosen)
-                self._pair = packed or RecordedPair(first, open_video(paths[1]))
+        self._first = first = open_video(paths[0])
+        if len(paths) > 1 and paths[0] == paths[1]:
+            self._pair = pair_in(first, paths[0], find_layout(first, layout).layout, open_video)
+        elif len(paths) > 1:
+            self._pair = RecordedPair(first, open_video(paths[1]))
         length_s = (first.n_frames or 0) / first.fps
         self._step_s = max(_SHORTEST_STEP_S, length_s / _MAX_VIDEO_SHOTS)
         self.n_shots: int | None = int(length_s / self._step_s) + 1 if first.n_frames else None  # estimate
@@ -147,12 +142,11 @@ def _layout(source: str, files: Sequence[Path], layout: LayoutOption) -> StereoL
     """The layout of images of two cameras in each; wide ones are beside each other, as few points of boards match."""
     if layout != "auto" and layout != "tracks":
         return layout
-    images = [image for path in files[:_N_COMPARED] if (image := _readable(path)) is not None]
-    matched = (matching_halves([image]) for image in images if layout == "auto")
-    chosen = next((one for one in matched if one is not None), None)
-    if chosen is not None:
-        return chosen.layout
-    if images and layout == "auto" and images[0].shape[1] >= _MIN_ASPECT * images[0].shape[0]:
+    readable = (image for path in files[:_N_COMPARED] if layout == "auto" and (image := _readable(path)) is not None)
+    images = list(readable)
+    if (matched := next(filter(None, (matching_halves([image]) for image in images)), None)) is not None:
+        return matched.layout
+    if images and images[0].shape[1] >= _MIN_ASPECT * images[0].shape[0]:
         return "side-by-side"
     raise ImageFileError(
         f"{source}: expected the images of two cameras in each, found no two halves that match; give the images of "
@@ -165,10 +159,7 @@ def _halves(image: Image | None, layout: StereoLayout) -> tuple[Image | None, ..
     """The images of the left and the right camera in one."""
     if image is None:
         return None, None
-    size_px = image.shape[1], image.shape[0]
-    return tuple(
-        np.ascontiguousarray(image[image_half(layout, size_px, is_right=is_right)]) for is_right in (False, True)
-    )
+    return tuple(np.ascontiguousarray(image_half(layout, image, is_right=is_right)) for is_right in (False, True))
 
 
 def _is_video(source: str) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import av
 import numpy as np
@@ -21,9 +21,6 @@ image without colour, which is assumed; lossy chroma of grey videos differs by 1
 
 UPRIGHT = (1, 0, 0, 1)  # axes of an image that needs no rotation
 
-ImagePart = tuple[slice, slice]  # rows and columns of an image
-WHOLE: ImagePart = (slice(None), slice(None))
-
 _reformatters = threading.local()
 """One converter of colours per thread; its buffers are reused while the size and format of the frames remain."""
 
@@ -39,13 +36,11 @@ class DecodedImage:
     frame: av.VideoFrame
     # signs (a, b, c, d) of x' = a x + c y, y' = b x + d y, which rotate the stored image upright
     axes: tuple[int, int, int, int]
-    part: ImagePart = WHOLE  # rows and columns of the upright image
-    n_parts: int = 1  # that share the frame
 
     @property
     def n_bytes(self) -> int:
         """Size in memory."""
-        return sum(plane.buffer_size for plane in self.frame.planes) // self.n_parts
+        return sum(plane.buffer_size for plane in self.frame.planes)
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -57,10 +52,11 @@ class DecodedImage:
         """The image as (H, W, 3) uint8 BGR, upright; every call gives the same pixels."""
         image = bgr_image(self.frame)
         if self.axes == UPRIGHT:
-            return image[self.part]
+            return image
         x_from_x, y_from_x, x_from_y, y_from_y = self.axes
-        image = image.swapaxes(0, 1)[::y_from_x, ::x_from_y] if y_from_x else image[::y_from_y, ::x_from_x]
-        return np.ascontiguousarray(image[self.part])
+        if y_from_x:
+            return np.ascontiguousarray(image.swapaxes(0, 1)[::y_from_x, ::x_from_y])
+        return np.ascontiguousarray(image[::y_from_y, ::x_from_x])
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,11 +73,6 @@ class VideoFrame:
     def n_packed_bytes(self) -> int:
         """Size in memory of the image in the smaller format."""
         return self.image.nbytes if self.decoded is None else self.decoded.n_bytes
-
-    def part(self, part: ImagePart) -> VideoFrame:
-        """One of two parts of the image, which shares its memory."""
-        decoded = None if self.decoded is None else replace(self.decoded, part=part, n_parts=2)
-        return VideoFrame(self.index, self.time_s, self.image[part], decoded)
 
     def packed(self) -> Callable[[], VideoFrame]:
         """A function that returns this frame but stores its image only in the smaller format."""

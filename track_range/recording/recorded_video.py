@@ -49,7 +49,7 @@ class RecordedVideo(ABC):
     n_total: int | None  # estimated number of frames of the whole recording; None = unknown
     # tags in the header of a single video file, and of its video stream; empty for other recordings
     metadata: Mapping[str, str] = {}
-    tracks_px: tuple[tuple[int, int], ...] = ()  # (width, height) of the video tracks of a file; empty for others
+    tracks_px: tuple[tuple[int, int], ...] = ()  # (width, height) of the tracks of a file, unless one is chosen
     stated_layout: StereoLayout | None = None  # where the images have those of two cameras; None = not stated
     first_image: Image | None = None  # as long as it is needed
     is_upright_file = False  # whether this is the first track of a video file, stored without a rotation

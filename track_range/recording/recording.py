@@ -6,9 +6,10 @@ open the videos -> find and check the calibration -> check and align with the fi
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from track_range.foundation.progress import StepProgress, no_progress
@@ -30,7 +31,6 @@ from track_range.recording.names import (
     Half,
     LayoutOption,
     Segments,
-    StereoLayout,
     VideoName,
     VideoTrack,
     video_name,
@@ -43,10 +43,10 @@ from track_range.recording.pairs.auto_alignment import (
     given_alignment,
 )
 from track_range.recording.pairs.live_pair import LivePair
-from track_range.recording.pairs.packed_pair import PackedPair
+from track_range.recording.pairs.packed_pair import PackedPair, pair_in
 from track_range.recording.pairs.pair_monitor import PairMonitor
 from track_range.recording.pairs.recorded_pair import RecordedPair
-from track_range.recording.pairs.stereo_layout import find_layout, mono_notes, stereo_tracks
+from track_range.recording.pairs.stereo_layout import find_layout, mono_notes
 from track_range.recording.pairs.sync_monitor import PERIOD, SyncMonitor
 from track_range.recording.pairs.video_pair import VideoPair
 from track_range.recording.recorded_video import RecordedVideo
@@ -222,30 +222,29 @@ def open_recording(
         (0, 0.0, False)
         >>> recording.close()
     """
-    left, right = _named(video_name(left), None if right is None else video_name(right), topics, track)
-    folder_notes: tuple[str, ...] = ()
-    is_one = right == left or (right is None and stereo_layout is not None)
-    if is_one and stereo_layout in (None, "auto") and isinstance(left, Path):
-        left, right, folder_notes = _folders_of(left, right)
-    is_packed = is_one and stereo_layout is not None and right in (None, left)
+    left, right = _named(video_name(left), None if right is None else video_name(right), topics, track, stereo_layout)
+    layout_notes: tuple[str, ...] = ()
+    if right is None and stereo_layout == "auto" and isinstance(left, Path) and left.is_dir():
+        folder, sides = left, stereo_images(left)
+        if sides is not None:
+            left, right = sides
+            layout_notes = (f"{folder}: the left images are {left.name}, the right ones {right.name}.",)
     utc = None if start_utc is None else parsed_utc(start_utc)
+
+    recorded = partial(open_video, folder_fps=folder_fps, start_s=start_s, duration_s=duration_s, bayer=bayer)
 
     def opened(name: VideoName, beside: Video | None = None) -> Video:
         if isinstance(name, LiveAddress):
             return LiveVideo(name, start_s=start_s, duration_s=duration_s)
-        left_video = beside if isinstance(beside, RecordedVideo) else None
-        return open_video(
-            name, folder_fps=folder_fps, start_s=start_s, duration_s=duration_s, left=left_video, bayer=bayer
-        )
+        return recorded(name, left=beside if isinstance(beside, RecordedVideo) else None)
 
     with ExitStack() as on_error:
         video = opened(left)
         on_error.callback(video.close)
         source: Video | PairedVideos = video
-        layout_notes = folder_notes
-        if is_packed:
-            chosen = find_layout(video, stereo_layout or "auto")
-            source, layout_notes = _packed(video, left, chosen.layout, opened), (chosen.sentence(str(left)),)
+        if right is None and stereo_layout is not None and not isinstance(left, Half):
+            chosen = find_layout(video, stereo_layout)
+            source, layout_notes = pair_in(video, left, chosen.layout, recorded), (chosen.sentence(str(left)),)
         elif right is not None:
             other = opened(right, beside=video)
             on_error.callback(other.close)
@@ -259,7 +258,7 @@ def open_recording(
         calibration = find_calibration(left, videos, rig=given_rig, focal_px=focal_px, view=view)
         monitors: tuple[Monitor, ...] = ()
         if isinstance(source, VideoPair) and calibration.rig is not None:
-            check = PairMonitor(calibration.rig, is_packed=is_packed) if has_checks else None
+            check = PairMonitor(calibration.rig, is_packed=right is None) if has_checks else None
             calibration = _aligned(calibration, calibration.rig, source, align, check, progress)
             monitors = () if check is None else (check,)
             if has_checks and calibration.rig is not None:
@@ -277,26 +276,6 @@ def open_recording(
     return Recording(_frames(source, calibration, monitors, utc), source, calibration, monitors, layout_notes, utc)
 
 
-def _folders_of(folder: Path, right: VideoName | None) -> tuple[Path, VideoName | None, tuple[str, ...]]:
-    """The left and right images of a folder that has both, and a note; else the folder and `right` as given."""
-    pair = stereo_images(folder) if folder.is_dir() else None
-    if pair is None:
-        return folder, right, ()
-    return pair[0], pair[1], (f"{folder}: the left images are {pair[0].name}, the right ones {pair[1].name}.",)
-
-
-def _packed(
-    whole: Video, name: VideoName, layout: StereoLayout, opened: Callable[..., Video]
-) -> PackedPair | RecordedPair | LivePair:
-    """The pair in the images, or the video tracks, of one recording."""
-    if layout != "tracks" and not isinstance(name, VideoTrack | Half):
-        return PackedPair(whole, name, layout)
-    whole.close()
-    tracks = [VideoTrack(name, number) for number in stereo_tracks(whole)[:2] if isinstance(name, Path | Segments)]
-    left = opened(tracks[0])
-    return _paired(left, opened(tracks[1], beside=left))
-
-
 def _paired(left: Video, right: Video) -> RecordedPair | LivePair:
     if isinstance(left, LiveVideo) and isinstance(right, LiveVideo):
         return LivePair(left, right)
@@ -309,15 +288,19 @@ def _paired(left: Video, right: Video) -> RecordedPair | LivePair:
 
 
 def _named(
-    left: VideoName, right: VideoName | None, topics: Sequence[str], track: int | None
+    left: VideoName,
+    right: VideoName | None,
+    topics: Sequence[str],
+    track: int | None,
+    layout: LayoutOption | None,
 ) -> tuple[VideoName, VideoName | None]:
     """The names, bags with topics; raises VideoError if a video is no bag, or the number of topics does not fit."""
+    if right == left and layout is not None and len(topics) < 2:
+        right = None  # both cameras in one recording
     if track is not None and isinstance(left, Path | Segments) and right is None:
         return VideoTrack(left, track), None
     if not topics:
         return left, right
-    if len(topics) == 1 and right == left:
-        topics = (*topics, *topics)
     names = [left] if right is None else [left, right]
     if len(names) != len(topics):
         raise VideoError(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import struct
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from pathlib import Path
 
 import av
@@ -156,6 +157,30 @@ def test_tracks_that_are_missing(tmp_path: Path) -> None:
     path = write_video(tmp_path / "one.mkv", [LEFT])
     with pytest.raises(VideoError, match=r"one\.mkv: expected two video tracks.*320x160"):
         open_recording(path, stereo_layout="tracks")
+
+
+def test_both_cameras_in_a_chosen_track(tmp_path: Path) -> None:
+    both = write_video(tmp_path / "both.mkv", [packed("top-bottom"), packed("side-by-side")])
+    one = write_video(tmp_path / "one.mkv", [packed("side-by-side")])
+    chosen = frames_of(both, stereo_layout="side-by-side", track=1)
+    assert_equal(chosen, frames_of(one, stereo_layout="side-by-side"))
+    with pytest.raises(VideoError, match="two video tracks of equal size, found none"):
+        open_recording(both, stereo_layout="tracks", track=1)
+
+
+def test_pairs_read_ahead_are_those_read_later(tmp_path: Path) -> None:
+    both = write_video(tmp_path / "both.mkv", [packed("right-left")])
+    pair = PackedPair(open_video(both), both, "right-left")
+    with closing(pair.read_ahead()) as ahead:
+        first = list(itertools.islice(ahead, 2))
+    later = list(pair)
+    assert len(later) == 3
+    for early, late, images in zip(first, later, zip(LEFT, RIGHT, strict=True), strict=False):
+        for one, other, image in zip(early, late, images, strict=True):
+            assert (one.index, one.time_s) == (other.index, other.time_s)
+            assert np.array_equal(one.image, other.image)
+            assert np.abs(one.image.astype(int) - image).mean() < 3
+        assert late[0].image.base is late[1].image.base is not None
 
 
 @pytest.mark.parametrize(

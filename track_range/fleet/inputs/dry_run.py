@@ -18,7 +18,7 @@ from track_range.recording.files.video_file import VideoHeader
 from track_range.recording.names import BagTopic, LayoutOption
 from track_range.recording.open_video import open_video
 from track_range.recording.pairs.stereo_layout import find_layout
-from track_range.recording.pairs.video_half import image_half
+from track_range.recording.pairs.video_half import half_size_px
 from track_range.stereo.rig_formats.reading import find_rig, load_camera, load_rig
 
 _BATCH = 256  # number of clips that are handed to the threads at a time
@@ -95,13 +95,10 @@ class _Check:
 
     def _half(self, path: Path, layout: LayoutOption, whole: _Header) -> _Header:
         """The properties of one camera in a video with the images of two."""
-        size_px, fps, duration_s, has_calibration = whole
         if layout == "auto":
             with closing(open_video(path)) as reader:
                 layout = find_layout(reader, layout).layout
-        part = (slice(None), slice(None)) if layout == "tracks" else image_half(layout, size_px, is_right=False)
-        height_px, width_px = (len(range(*one.indices(side))) for one, side in zip(part, size_px[::-1], strict=True))
-        return (width_px, height_px), fps, duration_s, has_calibration
+        return (whole[0] if layout == "tracks" else half_size_px(layout, whole[0])), *whole[1:]
 
     def _size(self, files: dict[str, Location]) -> int:
         """Size of all files; those that do not exist or are empty are problems."""

@@ -9,7 +9,7 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from contextlib import suppress
 
 import av
@@ -22,6 +22,8 @@ from track_range.foundation.files.input_files import counted
 from track_range.foundation.prefetch import lower_thread_priority
 from track_range.recording.frame import TIME_EPSILON_S, VideoError, VideoFrame, bgr_image, is_neutral
 from track_range.recording.live.address import LiveAddress
+from track_range.recording.names import StereoLayout
+from track_range.recording.recorded_video import VideoPart
 from track_range.recording.threads import LIVE_FRAMES
 from track_range.recording.utc import UtcStart
 
@@ -76,6 +78,10 @@ class LiveVideo:
     """
 
     n_frames: int | None = None
+    metadata: Mapping[str, str] = {}
+    parts: tuple[VideoPart, ...] = ()
+    tracks_px: tuple[tuple[int, int], ...] = ()
+    stated_layout: StereoLayout | None = None
 
     def __init__(self, address: LiveAddress, *, start_s: float = 0.0, duration_s: float | None = None) -> None:
         self.path = address

@@ -2,25 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import closing
+from pathlib import Path
 
 from track_range.foundation.prefetch import prefetch
+from track_range.recording.frame import VideoFrame
 from track_range.recording.live.live_video import LiveVideo
-from track_range.recording.names import Half, StereoLayout, WholeName
+from track_range.recording.names import Half, PackedLayout, Segments, StereoLayout, VideoTrack, WholeName
+from track_range.recording.pairs.recorded_pair import RecordedPair
+from track_range.recording.pairs.stereo_layout import stereo_tracks
 from track_range.recording.pairs.video_half import VideoHalf
 from track_range.recording.pairs.video_pair import Pair, VideoPair
 from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.threads import FRAMES_AHEAD, MAX_LOOK_AHEAD_BYTES
 
 
-class PackedPair(VideoPair[RecordedVideo]):
+def pair_in(
+    whole: RecordedVideo | LiveVideo, name: WholeName, layout: StereoLayout, opened: Callable[..., RecordedVideo]
+) -> PackedPair | RecordedPair:
+    """The pair in the images of a recording, or in two video tracks, which `opened` opens as `open_video` does."""
+    if layout != "tracks":
+        return PackedPair(whole, name, layout)
+    whole.close()
+    tracks = [VideoTrack(name, number) for number in stereo_tracks(whole)[:2] if isinstance(name, Path | Segments)]
+    left = opened(tracks[0])
+    return RecordedPair(left, opened(tracks[1], left=left))
+
+
+class PackedPair(VideoPair[VideoHalf]):
     """The pairs of `whole`; the images of a pair are parts of one, and share its memory."""
 
-    def __init__(self, whole: RecordedVideo | LiveVideo, name: WholeName, layout: StereoLayout) -> None:
+    _newest: VideoFrame  # that of the last pair
+
+    def __init__(self, whole: RecordedVideo | LiveVideo, name: WholeName, layout: PackedLayout) -> None:
         self.whole, self.is_live = whole, isinstance(whole, LiveVideo)
         left, right = (VideoHalf(whole, Half(name, layout, is_right)) for is_right in (False, True))
-        self._parts = left.part, right.part
         super().__init__(left, right, tolerance_s=0.0, max_ahead_bytes=0 if self.is_live else MAX_LOOK_AHEAD_BYTES)
 
     @property
@@ -37,4 +54,12 @@ class PackedPair(VideoPair[RecordedVideo]):
         with closing(frames):
             for frame in frames:
                 self.left.first_time_s, self.left.busy_s = self.whole.first_time_s, self.whole.busy_s
-                yield frame.part(self._parts[0]), frame.part(self._parts[1])
+                self._newest = frame
+                yield self._halves(frame)
+
+    def _packed(self, pair: Pair) -> tuple[int, Callable[[], Pair]]:
+        whole = self._newest.packed()  # converted once for both
+        return self._newest.n_packed_bytes, lambda: self._halves(whole())
+
+    def _halves(self, frame: VideoFrame) -> Pair:
+        return self.left.half(frame), self.right.half(frame)

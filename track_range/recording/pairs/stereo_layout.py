@@ -6,6 +6,7 @@ given -> stated by the file (frame packing of H.264 and HEVC, StereoMode, st3d, 
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from contextlib import closing, suppress
@@ -43,7 +44,7 @@ _SHOWN: dict[StereoLayout, str] = {
     "bottom-top": "below each other, the left camera's at the bottom",
     "tracks": "in two video tracks, the left camera's in the first one",
 }
-_REVERSED: dict[StereoLayout, StereoLayout] = {"side-by-side": "right-left", "top-bottom": "bottom-top"}
+_SWAPPED: dict[StereoLayout, StereoLayout] = {"side-by-side": "right-left", "top-bottom": "bottom-top"}
 
 _THUMBNAIL_PX = 32, 18  # size of the images that are compared first
 _MAX_SHIFT_PX = 4  # largest displacement of these, a disparity of an eighth of the width
@@ -74,9 +75,8 @@ def find_layout(video: RecordedVideo | LiveVideo, given: LayoutOption) -> FoundL
         )
     if given != "auto":
         return FoundLayout(given, "as given")
-    stated = video.stated_layout if isinstance(video, RecordedVideo) else None
-    if stated is not None:
-        return FoundLayout(stated, "as the file states")
+    if video.stated_layout is not None:
+        return FoundLayout(video.stated_layout, "as the file states")
     if len(stereo_tracks(video)) > 1:
         return FoundLayout("tracks", f"the file has {_listed(video)}")
     for path in files_of(video.path)[:1]:
@@ -99,9 +99,8 @@ def find_layout(video: RecordedVideo | LiveVideo, given: LayoutOption) -> FoundL
 
 def mono_notes(video: RecordedVideo | LiveVideo) -> tuple[str, ...]:
     """A note that the images of one camera are those of two, if they look like it."""
-    stated = video.stated_layout if isinstance(video, RecordedVideo) else None
-    image = video.first_image
-    layout = FoundLayout(stated, "as the file states") if stated else matching_halves([] if image is None else [image])
+    stated, images = video.stated_layout, [] if video.first_image is None else [video.first_image]
+    layout = FoundLayout(stated, "as the file states") if stated else matching_halves(images)
     if layout is None:
         return ()
     return (
@@ -113,8 +112,6 @@ def mono_notes(video: RecordedVideo | LiveVideo) -> tuple[str, ...]:
 
 def has_second_view(path: Path) -> bool:
     """Whether an MP4 file states a second view in the layers of its HEVC stream (box `lhvC`, ISO/IEC 14496-15)."""
-    if not path.is_file():
-        return False
     with suppress(OSError), path.open("rb") as file:
         movie = read_movie(file)
         return movie is not None and movie.video is not None and b"lhvC" in movie.video.description
@@ -123,25 +120,23 @@ def has_second_view(path: Path) -> bool:
 
 def stereo_tracks(video: RecordedVideo | LiveVideo) -> tuple[int, ...]:
     """Numbers of the video tracks of a file that are as large as the largest one."""
-    sizes_px = video.tracks_px if isinstance(video, RecordedVideo) else ()
-    largest = max(sizes_px, key=lambda size_px: size_px[0] * size_px[1], default=None)
-    return tuple(number for number, size_px in enumerate(sizes_px) if size_px == largest)
+    largest = max(video.tracks_px, key=math.prod, default=None)
+    return tuple(number for number, size_px in enumerate(video.tracks_px) if size_px == largest)
 
 
 def matching_halves(images: Sequence[Image]) -> FoundLayout | None:
     """The layout of images whose halves are alike, as left and right are; None = they are images of one camera."""
     if not images:
         return None
-    size_px = images[0].shape[1], images[0].shape[0]
-    for layout, reversed_layout in _REVERSED.items():
-        first, second = (image_half(layout, size_px, is_right=is_right) for is_right in (False, True))
-        height_px, width_px = images[0][first].shape[:2]
-        if min(height_px, width_px) < 2 * _THUMBNAIL_PX[1] or not _are_alike(images[0][first], images[0][second]):
+    for layout, reversed_layout in _SWAPPED.items():
+        halves = [[image_half(layout, image, is_right=is_right) for is_right in (False, True)] for image in images]
+        height_px, width_px = halves[0][0].shape[:2]
+        if min(height_px, width_px) < 2 * _THUMBNAIL_PX[1] or not _are_alike(*halves[0]):
             continue
         camera = PinholeCamera.of_focal_length(_FOCAL_PER_WIDTH * width_px, (width_px, height_px))
         evidence = PairEvidence(camera)
-        for image in images:
-            evidence.add(np.ascontiguousarray(image[first]), np.ascontiguousarray(image[second]))
+        for pair in halves:
+            evidence.add(*map(np.ascontiguousarray, pair))
         figures = evidence.figures()
         fault, n_agreeing = find_fault(figures, StereoRig.rectified(camera, _BASELINE_M)).fault, len(figures.left_px)
         if fault in ("fits", "verged", "swapped") and n_agreeing >= _MIN_MATCHES * len(images):
@@ -162,12 +157,10 @@ def _are_alike(first: Image, second: Image) -> bool:
 
 def _first_images(video: RecordedVideo | LiveVideo) -> list[Image]:
     if isinstance(video, LiveVideo):
-        with closing(video.newest()) as frames:
-            return [frame.image for frame in islice(frames, 1)]
+        return [] if video.first_image is None else [video.first_image]
     with closing(iter(video)) as frames:
         return [frame.image for frame in islice(frames, 0, _N_FRAMES * _FRAME_STEP, _FRAME_STEP)]
 
 
 def _listed(video: RecordedVideo | LiveVideo) -> str:
-    sizes_px = video.tracks_px if isinstance(video, RecordedVideo) else ()
-    return " and ".join(f"{width_px}x{height_px} px" for width_px, height_px in sizes_px) or "none"
+    return " and ".join(f"{width_px}x{height_px} px" for width_px, height_px in video.tracks_px) or "none"

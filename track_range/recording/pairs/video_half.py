@@ -5,20 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Generator
 
-from track_range.recording.frame import ImagePart, VideoFrame
+from track_range.foundation.arrays import Image
+from track_range.recording.frame import VideoFrame
 from track_range.recording.live.live_video import LiveVideo
-from track_range.recording.names import Half, StereoLayout
+from track_range.recording.names import REVERSED, STACKED, Half, PackedLayout, StereoLayout
 from track_range.recording.recorded_video import RecordedVideo, VideoPart
 from track_range.recording.utc import UtcStart
 
 
-def image_half(layout: StereoLayout, size_px: tuple[int, int], *, is_right: bool) -> ImagePart:
-    """Rows and columns of the images of one camera in images of (width, height); an odd row or column is left out."""
-    is_second = is_right != (layout in ("right-left", "bottom-top"))
-    is_stacked = layout in ("top-bottom", "bottom-top")
-    length_px = size_px[1] if is_stacked else size_px[0]
-    half = slice(length_px - length_px // 2, None) if is_second else slice(length_px // 2)
-    return (half, slice(None)) if is_stacked else (slice(None), half)
+def image_half(layout: StereoLayout, image: Image, *, is_right: bool) -> Image:
+    """The part of an image that is that of one camera, without a copy; an odd row or column is left out."""
+    length_px = image.shape[0 if layout in STACKED else 1] // 2
+    half = slice(-length_px, None) if is_right != (layout in REVERSED) else slice(length_px)
+    return image[half] if layout in STACKED else image[:, half]
+
+
+def half_size_px(layout: PackedLayout, size_px: tuple[int, int]) -> tuple[int, int]:
+    """(width, height) of the images of one camera in images of this size."""
+    width_px, height_px = size_px
+    return (width_px, height_px // 2) if layout in STACKED else (width_px // 2, height_px)
 
 
 class VideoHalf(RecordedVideo):
@@ -28,21 +33,10 @@ class VideoHalf(RecordedVideo):
 
     def __init__(self, whole: RecordedVideo | LiveVideo, name: Half) -> None:
         self.whole, self.path = whole, name
-        self.part = image_half(name.layout, (whole.width_px, whole.height_px), is_right=name.is_right)
-        rows, columns = (
-            range(*part.indices(length))
-            for part, length in zip(self.part, (whole.height_px, whole.width_px), strict=True)
-        )
-        self.height_px, self.width_px = len(rows), len(columns)
+        self.width_px, self.height_px = half_size_px(name.layout, (whole.width_px, whole.height_px))
         self.pixel_aspect, self.is_grey, self.fps = whole.pixel_aspect, whole.is_grey, whole.fps
         self.first_time_s, self.n_total = whole.first_time_s, whole.n_frames
-        if isinstance(whole, RecordedVideo):
-            self.n_total, self.metadata = whole.n_total, whole.metadata
-
-    @property
-    def n_frames(self) -> int | None:
-        """See `RecordedVideo`."""
-        return self.whole.n_frames
+        self.metadata = whole.metadata
 
     @property
     def utc(self) -> UtcStart | None:
@@ -57,19 +51,18 @@ class VideoHalf(RecordedVideo):
     @property
     def parts(self) -> tuple[VideoPart, ...]:
         """See `RecordedVideo`."""
-        return self.whole.parts if isinstance(self.whole, RecordedVideo) else ()
+        return self.whole.parts
 
     def frames(self, from_s: float, until_s: float) -> Generator[VideoFrame, None, None]:
         """See `RecordedVideo`."""
         if isinstance(self.whole, RecordedVideo):
             for frame in self.whole.frames(from_s, until_s):
-                yield frame.part(self.part)
+                yield self.half(frame)
 
-    def select(self, start_s: float, duration_s: float | None = None, *, origin_s: float | None = None) -> None:
-        """See `RecordedVideo`; the part is that of both cameras."""
-        super().select(start_s, duration_s, origin_s=origin_s)
-        if isinstance(self.whole, RecordedVideo):
-            self.whole.select(start_s, duration_s, origin_s=origin_s)
+    def half(self, frame: VideoFrame) -> VideoFrame:
+        """The part of a frame of both cameras that is that of this one; it shares its memory."""
+        image = image_half(self.path.layout, frame.image, is_right=self.path.is_right)
+        return VideoFrame(frame.index, frame.time_s, image)
 
     def check_unchanged(self) -> None:
         """See `RecordedVideo`."""
@@ -86,6 +79,6 @@ class VideoHalf(RecordedVideo):
         `aspect` is the width / height of the images by a calibration.
         """
         own = self.width_px / self.height_px * (self.pixel_aspect or 1.0)
-        squeeze = 0.5 if self.path.layout in ("top-bottom", "bottom-top") else 2.0
+        squeeze = 0.5 if self.path.layout in STACKED else 2.0
         if abs(math.log(aspect / own / squeeze)) < abs(math.log(aspect / own)):
             self.pixel_aspect = squeeze * (self.pixel_aspect or 1.0)

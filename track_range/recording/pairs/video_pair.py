@@ -16,7 +16,7 @@ from track_range.recording.frame import VideoFrame
 from track_range.recording.live.live_video import LiveVideo
 from track_range.recording.recorded_video import RecordedVideo
 
-V = TypeVar("V", RecordedVideo, LiveVideo)
+V = TypeVar("V", bound=RecordedVideo | LiveVideo)
 
 Pair = tuple[VideoFrame, VideoFrame]
 
@@ -37,7 +37,7 @@ class VideoPair(ABC, Generic[V]):
         self._max_bytes = max_ahead_bytes
         self._unread: Generator[Pair, None, None] | None = None
         self._n_bytes = 0  # of the buffer
-        self._ahead: deque[tuple[Callable[[], VideoFrame], Callable[[], VideoFrame]]] = deque()
+        self._ahead: deque[Callable[[], Pair]] = deque()
 
     @property
     @abstractmethod
@@ -50,29 +50,34 @@ class VideoPair(ABC, Generic[V]):
 
     def read_ahead(self) -> Generator[Pair, None, None]:
         """The first pairs, until the caller stops, before the iteration; a later call starts with them again."""
-        yield from ((left(), right()) for left, right in tuple(self._ahead))
+        yield from (unpacked() for unpacked in tuple(self._ahead))
         unread, is_full = self._unread or self.pairs(), False
         self._unread = unread
         try:
-            for left, right in unread:
-                self._n_bytes += left.n_packed_bytes + right.n_packed_bytes
+            for pair in unread:
+                n_bytes, unpacked = self._packed(pair)
+                self._n_bytes += n_bytes
                 is_full |= bool(self._ahead) and self._n_bytes > self._max_bytes
                 if is_full:
                     self._ahead.clear()
                 else:
-                    self._ahead.append((left.packed(), right.packed()))
-                yield left, right
+                    self._ahead.append(unpacked)
+                yield pair
         finally:
             if is_full:
                 unread.close()
                 self._unread, self._n_bytes = None, 0
 
+    def _packed(self, pair: Pair) -> tuple[int, Callable[[], Pair]]:
+        """Size of a pair in memory with its images in the smaller format, and a function that returns it."""
+        left, right = (frame.packed() for frame in pair)
+        return sum(frame.n_packed_bytes for frame in pair), lambda: (left(), right())
+
     def __iter__(self) -> Generator[Pair, None, None]:
         unread, self._unread = self._unread or self.pairs(), None
         with closing(unread):
             while self._ahead:
-                left, right = self._ahead.popleft()
-                yield left(), right()
+                yield self._ahead.popleft()()
             yield from unread
 
     def close(self) -> None:

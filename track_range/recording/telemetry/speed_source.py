@@ -74,12 +74,12 @@ def open_speed(
     if setting == OFF:
         return SpeedSource()
     reader = recording.videos[0]
-    parts = () if isinstance(reader, LiveVideo) else reader.parts
+    parts = reader.parts
     if (utc := recording.start_utc) is not None:
         parts = tuple(replace(part, utc=utc.shifted(part.start_s)) for part in parts)
 
     def motion() -> MotionSeries:
-        if isinstance(reader, LiveVideo):
+        if isinstance(reader, LiveVideo) or recording.live is not None:
             return _NO_MOTION
         span_s = SPAN_S if duration_s is None else min(SPAN_S, max(duration_s, _MIN_SPAN_S))
         video, part_s = _file_at(parts, start_s, span_s) or (reader.path, 0.0)
