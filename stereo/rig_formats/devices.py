@@ -17,10 +17,11 @@ from __future__ import annotations
 
 import math
 import re
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
@@ -44,15 +45,17 @@ _ZED_SIZES = {  # (width, height) of the images of one side by the name of the m
     "QHDPLUS": (3200, 1800),
 }  # fmt: skip
 _ZED_SECTION = re.compile(r"^\s*\[LEFT_CAM_(\w+)\]", re.MULTILINE | re.IGNORECASE)
-_OAK_UNITS_CM = {0: 100.0, 1: 1.0, 2: 0.1, 3: 2.54, 4: 30.48}  # depthai-core, LengthUnit: m, cm, mm, in, ft
+_OAK_UNITS_M = {0: 1.0, 1: 0.01, 2: 0.001, 3: 0.0254, 4: 0.3048}  # depthai-core, LengthUnit: m, cm, mm, in, ft
 _SPEC_DIFFERENCE = 0.05  # relative difference of the baselines by calibration and by specification that is noted
 
 
 def _read_zed(text: str, path: Path) -> RigCalibration:
     """The cameras of all resolutions, the first one with the others as `others`."""
-    content = plain_values(text, path, _ZED_TITLE).items()
-    values = {name.upper(): section for name, section in content if isinstance(section, dict)}
-    stereo = {key.upper(): value for key, value in values.get("STEREO", {}).items()}
+    values = {
+        name.upper(): {key.lower(): value for key, value in section.items() if isinstance(value, float)}
+        for name, section in plain_values(text, path, _ZED_TITLE).items()
+        if isinstance(section, dict)
+    }
     modes = [name.removeprefix("LEFT_CAM_") for name in values if name.startswith("LEFT_CAM_")]
     modes = [mode for mode in modes if mode in _ZED_SIZES and f"RIGHT_CAM_{mode}" in values] or modes[:1]
     if not modes:
@@ -61,42 +64,39 @@ def _read_zed(text: str, path: Path) -> RigCalibration:
             "calib.stereolabs.com."
         )
     modes.sort(key=lambda mode: mode != "HD")  # the usual one first
-    calibrations = [_zed_mode(values, stereo, mode, path) for mode in modes]
     sizes = ", ".join("{}x{}".format(*_ZED_SIZES.get(mode, (0, 0))) for mode in modes)
-    note = f"{path}: {_ZED_TITLE}: lengths in millimetres; sections for images of {sizes} px."
-    assumed = f"{note} The images are taken as recorded (unrectified), one image of a pair of this size."
-    others = tuple(replace(other, notes=(assumed,)) for other in calibrations[1:])
-    return replace(calibrations[0], others=others, notes=(assumed,))
+    note = (
+        f"{path}: {_ZED_TITLE}: lengths in millimetres; sections for images of {sizes} px. The images are taken as "
+        "recorded (unrectified), one image of a pair of this size."
+    )
+    first, *others = [replace(_zed_mode(values, mode, path), notes=(note,)) for mode in modes]
+    return replace(first, others=tuple(others))
 
 
-def _zed_mode(values: Mapping[str, Any], stereo: Mapping[str, Any], mode: str, path: Path) -> RigCalibration:
-    def number(name: str) -> float:
-        """A value of the resolution, else of all; 0 = none."""
-        value = stereo.get(f"{name}_{mode}", stereo.get(name, 0.0))
-        return float(value) if isinstance(value, float) else 0.0
-
+def _zed_mode(values: Mapping[str, Mapping[str, float]], mode: str, path: Path) -> RigCalibration:
     cameras = []
     for side in ("LEFT", "RIGHT"):
-        section = {key.lower(): value for key, value in values.get(f"{side}_CAM_{mode}", {}).items()}
-        common = {key.lower(): value for key, value in values.get(f"{side}_DISTO", {}).items()}
-        section = common | section
-        missing = [name for name in ("fx", "fy", "cx", "cy") if not isinstance(section.get(name), float)]
+        section = {**values.get(f"{side}_DISTO", {}), **values.get(f"{side}_CAM_{mode}", {})}
+        missing = [name for name in ("fx", "fy", "cx", "cy") if name not in section]
         if missing:
             raise RigError(
                 f"{path}: expected numbers {', '.join(missing)} in the section {side}_CAM_{mode}, found none; download "
                 "the file again from calib.stereolabs.com."
             )
-        names = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-        coefficients = [value if isinstance(value := section.get(name, 0.0), float) else 0.0 for name in names]
-        distortion = coefficients if any(coefficients[5:]) else coefficients[:5]
+        coefficients = [section.get(name, 0.0) for name in ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")]
+        distortion = tuple(coefficients if any(coefficients[5:]) else coefficients[:5])
         focal = (section["fx"], section["fy"], section["cx"], section["cy"])
-        cameras.append(PinholeCamera(*focal, *_ZED_SIZES.get(mode, (0, 0)), tuple(distortion)))
-    motion = np.eye(4)
-    motion[:3, :3] = cv2.Rodrigues(
-        np.array([number("RX"), number("CV") or number("RY") or number("CONVERGENCE"), number("RZ")])
-    )[0]
-    baseline = number("BASELINE")
-    motion[:3, 3] = np.array([-baseline, -number("TY"), -number("TZ")]) * math.copysign(0.001, baseline) + 0.0
+        cameras.append(PinholeCamera(*focal, *_ZED_SIZES.get(mode, (0, 0)), distortion))
+    common = values.get("STEREO", {})
+    stereo = defaultdict(float, common) | {  # values of the resolution before those of all
+        name.removesuffix(f"_{mode.lower()}"): value
+        for name, value in common.items()
+        if name.endswith(f"_{mode.lower()}")
+    }
+    convergence = stereo["cv"] or stereo["ry"] or stereo["convergence"]
+    motion, baseline = np.eye(4), stereo["baseline"]
+    motion[:3, :3] = cv2.Rodrigues(np.array([stereo["rx"], convergence, stereo["rz"]]))[0]
+    motion[:3, 3] = -np.array([baseline, stereo["ty"], stereo["tz"]]) * math.copysign(0.001, baseline) + 0.0
     return RigCalibration(cameras[0], cameras[1], motion, metres_per_unit=0.001)
 
 
@@ -104,9 +104,6 @@ class _Point(BaseModel):
     x: Number = 0.0
     y: Number = 0.0
     z: Number = 0.0
-
-    def array(self) -> FloatArray:
-        return np.array([self.x, self.y, self.z])
 
 
 _Row = tuple[Number, Number, Number]
@@ -150,13 +147,6 @@ class _OakFile(BaseModel):
     stereoRectificationData: _OakPair = _OakPair()
 
 
-class _Path(NamedTuple):
-    """Transforms from one socket to another, centimetres."""
-
-    calibrated: FloatArray
-    specified: FloatArray  # with the translation of the specification
-
-
 def _read_oak(text: str, path: Path) -> RigCalibration:
     """The left and the right camera of an EEPROM, by its sockets."""
     content = parse_json(text, path, RigError, _OAK_TITLE)
@@ -181,22 +171,21 @@ def _read_oak(text: str, path: Path) -> RigCalibration:
             f"{path}: expected calibrated cameras in the sockets {left} and {right}, found those of {sockets}"
             "; give the calibration of a camera with a stereo pair."
         )
-    route = _route(cameras, left, right)
-    if route is None:
+    motion = _route(cameras, left, right, "translation")
+    specified = _route(cameras, left, right, "specTranslation")
+    if motion is None or specified is None:
         raise RigError(
             f"{path}: expected extrinsics from the socket {left} to {right}, found none; calibrate the device."
         )
-    motion, kind, also = route.calibrated.copy(), "calibrated", ""
-    lengths = [float(np.linalg.norm(transform[:3, 3])) * 0.01 for transform in route]
-    if not lengths[0]:
-        motion, kind = route.specified.copy(), "specified"
-    elif lengths[1] and abs(lengths[0] / lengths[1] - 1) > _SPEC_DIFFERENCE:
-        also = f" ({lengths[1]:.4g} m by its specification)"
-    motion[:3, 3] *= 0.01
-    device, length = quoted(file.productName or "a device"), float(np.linalg.norm(motion[:3, 3]))
+    length_m, specified_m = (float(np.linalg.norm(transform[:3, 3])) for transform in (motion, specified))
+    reason = "calibrated translation"
+    if not length_m:
+        motion, length_m, reason = specified, specified_m, "specified translation"
+    elif specified_m and abs(length_m / specified_m - 1) > _SPEC_DIFFERENCE:
+        reason += f" ({specified_m:.4g} m by its specification)"
     note = (
-        f"{path}: {_OAK_TITLE} of {device}: sockets {left} (left) and {right} (right), lengths in centimetres; the "
-        f"baseline is {length:.4f} m by its {kind} translation{also}."
+        f"{path}: {_OAK_TITLE} of {quoted(file.productName or 'a device')}: sockets {left} (left) and {right} (right), "
+        f"lengths in centimetres; the baseline is {length_m:.4f} m by its {reason}."
     )
     rig = RigCalibration(cameras[left].camera(), cameras[right].camera(), motion, notes=(note,), metres_per_unit=0.01)
     # modes such as 720p of a sensor with 800 rows leave out rows at the top and at the bottom
@@ -214,30 +203,22 @@ def _cropped(camera: PinholeCamera) -> PinholeCamera | None:
     return replace(camera, cy_px=camera.cy_px - n_rows, height_px=height_px) if n_rows > 0 and height_px else None
 
 
-def _route(cameras: Mapping[int, _OakCamera], start: int, goal: int) -> _Path | None:
-    """The transforms from the camera in one socket to that in another, through others; None = no way."""
-    steps: dict[int, list[tuple[int, _Path]]] = {socket: [] for socket in cameras}
+def _route(cameras: Mapping[int, _OakCamera], start: int, goal: int, translation: str) -> FloatArray | None:
+    """(4, 4) transform from the camera in one socket to that in another, through others, metres; None = no way."""
+    steps: dict[tuple[int, int], FloatArray] = {}
     for socket, camera in cameras.items():
-        to = camera.extrinsics.toCameraSocket
-        if to not in cameras or len(camera.extrinsics.rotationMatrix) != 3:
-            continue
-        motions = []
-        for translation in (camera.extrinsics.translation, camera.extrinsics.specTranslation):
-            motion = np.eye(4)
-            motion[:3, :3] = camera.extrinsics.rotationMatrix
-            motion[:3, 3] = translation.array() * _OAK_UNITS_CM.get(camera.extrinsics.lengthUnit, 1.0)
-            motions.append(motion)
-        steps[socket].append((to, _Path(*motions)))
-        steps[to].append((socket, _Path(*map(inverse_motion, motions))))
-    routes = {start: _Path(np.eye(4), np.eye(4))}
-    queue = [start]
-    for socket in queue:
-        for to, step in steps[socket]:
-            if to not in routes:
-                routes[to] = _Path(
-                    step.calibrated @ routes[socket].calibrated, step.specified @ routes[socket].specified
-                )
-                queue.append(to)
+        extrinsics, to = camera.extrinsics, camera.extrinsics.toCameraSocket
+        if to in cameras and len(extrinsics.rotationMatrix) == 3:
+            motion, point = np.eye(4), getattr(extrinsics, translation)
+            motion[:3, :3] = extrinsics.rotationMatrix
+            motion[:3, 3] = np.array([point.x, point.y, point.z]) * _OAK_UNITS_M.get(extrinsics.lengthUnit, 0.01)
+            steps.setdefault((socket, to), motion)
+            steps.setdefault((to, socket), inverse_motion(motion))
+    routes = {start: np.eye(4)}
+    while goal not in routes and (
+        further := {b: step @ routes[a] for (a, b), step in steps.items() if a in routes and b not in routes}
+    ):
+        routes |= further
     return routes.get(goal)
 
 
@@ -254,56 +235,53 @@ _RS_STREAMS = (("Infrared 1", "Infrared 2"), ("Infrared", "Infrared 2"), ("Fishe
 
 def _read_realsense(text: str, path: Path) -> RigCalibration:
     """The two infrared cameras, for all resolutions of the output of rs-enumerate-devices -c."""
-    intrinsics: dict[str, dict[tuple[int, int], PinholeCamera]] = {}
+    intrinsics: dict[str, dict[tuple[int, int], PinholeCamera]] = defaultdict(dict)
     for match in _RS_INTRINSIC.finditer(text):
         if (camera := _rs_camera(match["body"])) is not None:
-            intrinsics.setdefault(match["stream"].strip(), {}).setdefault(camera.size_px, camera)
+            intrinsics[match["stream"].strip()].setdefault(camera.size_px, camera)
     motions = {}
     for match in _RS_EXTRINSIC.finditer(text):
-        rotation, translation = (
-            [float(number) for number in re.findall(_RS_NUMBER, match[group])] for group in ("rotation", "translation")
-        )
+        rotation, translation = _rs_numbers(match["rotation"]), _rs_numbers(match["translation"])
         if len(rotation) == 9 and len(translation) == 3:
             motion = np.eye(4)
             motion[:3, :3], motion[:3, 3] = np.reshape(rotation, (3, 3)), translation
-            motions[match["first"].strip(), match["second"].strip()] = motion
+            streams = match["first"].strip(), match["second"].strip()
+            motions[streams] = motion
+            motions.setdefault(streams[::-1], inverse_motion(motion))
     for first, second in _RS_STREAMS:
-        motion_or_none = motions.get((first, second))
-        if motion_or_none is None and (second, first) in motions:
-            motion_or_none = inverse_motion(motions[second, first])
-        sizes = [size for size in intrinsics.get(first, {}) if size in intrinsics.get(second, {})]
-        if motion_or_none is None or not sizes:
-            continue
-        note = (
-            f'{path}: {_REALSENSE_TITLE}: "{first}" (left) and "{second}" (right), lengths in metres, images of '
-            f"{', '.join(f'{width}x{height}' for width, height in sizes)} px."
-        )
-        rigs = [
-            RigCalibration(intrinsics[first][size], intrinsics[second][size], motion_or_none, notes=(note,))
-            for size in sizes
-        ]
-        return replace(rigs[0], others=tuple(rigs[1:]))
+        sizes = [size for size in intrinsics[first] if size in intrinsics[second]]
+        if sizes and (first, second) in motions:
+            note = (
+                f'{path}: {_REALSENSE_TITLE}: "{first}" (left) and "{second}" (right), lengths in metres, images of '
+                f"{', '.join(f'{width}x{height}' for width, height in sizes)} px."
+            )
+            pairs = ((intrinsics[first][size], intrinsics[second][size]) for size in sizes)
+            rig, *others = [RigCalibration(*pair, motions[first, second], notes=(note,)) for pair in pairs]
+            return replace(rig, others=tuple(others))
+    found = quoted(", ".join(stream for stream, cameras in intrinsics.items() if cameras) or "none")
     raise RigError(
         f'{path}: expected intrinsics of "Infrared 1" and "Infrared 2" and the extrinsic between them, found those of '
-        f"{quoted(', '.join(intrinsics) or 'none')}; write the file with rs-enumerate-devices -c > rig.txt."
+        f"{found}; write the file with rs-enumerate-devices -c > rig.txt."
     )
+
+
+def _rs_numbers(text: str) -> list[float]:
+    return [float(number) for number in re.findall(_RS_NUMBER, text)]
 
 
 def _rs_camera(body: str) -> PinholeCamera | None:
     """The camera of the lines of one stream and size; None if it lacks a number."""
-    values = {
-        name: [float(number) for number in re.findall(_RS_NUMBER, match[1])]
-        for name in ("Width", "Height", "PPX", "PPY", "Fx", "Fy", "Coeffs")
-        if (match := re.search(rf"^\s*{name}\s*:([^\n]*)", body, re.MULTILINE | re.IGNORECASE))
-    }
-    if any(not values.get(name) for name in ("Width", "Height", "PPX", "PPY", "Fx", "Fy")):
+    lines = re.findall(r"^\s*(\w+)\s*:([^\n]*)", body.lower(), re.MULTILINE)
+    values = {name: _rs_numbers(line) for name, line in reversed(lines)}  # of several lines, the first
+    names = ("fx", "fy", "ppx", "ppy", "width", "height")
+    if not all(values.get(name) for name in names):
         return None
-    coefficients = values.get("Coeffs", [])
+    *focal, width, height = (values[name][0] for name in names)
+    coefficients = values.get("coeffs", [])
     is_fisheye = "kannala" in body.lower() or "f-theta" in body.lower()
     distortion = coefficients[:4] if is_fisheye else coefficients[:5] if any(coefficients) else []
-    width, height, ppx, ppy, fx, fy = (values[name][0] for name in ("Width", "Height", "PPX", "PPY", "Fx", "Fy"))
     lens = KANNALA_BRANDT if is_fisheye and len(distortion) == 4 else PINHOLE
-    return PinholeCamera(fx, fy, ppx, ppy, round(min(width, 1e6)), round(min(height, 1e6)), tuple(distortion), lens)
+    return PinholeCamera(*focal, round(min(width, 1e6)), round(min(height, 1e6)), tuple(distortion), lens)
 
 
 ZED = RigFormat(
