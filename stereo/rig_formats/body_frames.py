@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import re
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,20 +20,17 @@ from track_range.foundation.files.structured_text import parse_yaml
 from track_range.stereo.geometry.rig import RigError
 from track_range.stereo.geometry.rig_checks import RigCalibration
 from track_range.stereo.rig_formats.kalibr import calibration_of_blocks
-from track_range.stereo.rig_formats.rig_format import RigFormat
+from track_range.stereo.rig_formats.rig_format import format_by_pattern
 from track_range.stereo.rig_formats.values.containers import yaml_of_opencv
 from track_range.stereo.rig_formats.values.partners import files_of, is_second, partner_of
 
 _EUROC_TITLE, _VINS_TITLE = "EuRoC's sensor.yaml", "VINS's settings and camera files"
-_EUROC = re.compile(r"^T_BS\s*:", re.MULTILINE)
-_VINS = re.compile(r"^(?:model_type|cam0_calib|body_T_cam0)\s*:", re.MULTILINE)
 _MODELS = {  # of camodocal: Kalibr's names, groups of the intrinsics and coefficients with their keys
     "PINHOLE": ("pinhole", "radtan", ("fx", "fy", "cx", "cy"), ("k1", "k2", "p1", "p2")),
     "MEI": ("omni", "radtan", ("xi", "gamma1", "gamma2", "u0", "v0"), ("k1", "k2", "p1", "p2")),
     "KANNALA_BRANDT": ("pinhole", "equidistant", ("mu", "mv", "u0", "v0"), ("k2", "k3", "k4", "k5")),
 }
 _MAX_NAME = 200  # characters of the name of a file
-_DISTORTIONS = {"radial-tangential": "radtan", "radtan": "radtan", "equidistant": "equidistant", "none": "none"}
 
 
 def _content(path: Path, text: str | None = None) -> dict[str, Any]:
@@ -63,7 +61,7 @@ def _euroc_block(content: dict[str, Any]) -> dict[str, Any]:
         coefficients = coefficients[:4]
     return {
         **content,
-        "distortion_model": _DISTORTIONS.get(distortion, distortion) if isinstance(distortion, str) else distortion,
+        "distortion_model": "radtan" if distortion == "radial-tangential" else distortion,
         "distortion_coeffs": coefficients,
         "T_imu_cam": _rows(content.get("T_BS")),
     }
@@ -80,9 +78,8 @@ def _read_vins(text: str, path: Path, *, is_pair: bool) -> RigCalibration:
     content = _content(path, text)
     settings = _settings_of(path) if is_pair and "model_type" in content else None
     if "model_type" in content and settings is None:
-        return calibration_of_blocks(
-            {"cam0": _vins_block(content, path)}, path, [f"{path}: {_VINS_TITLE}, one camera."]
-        )
+        note = f"{path}: {_VINS_TITLE}, one camera."
+        return calibration_of_blocks({"cam0": _vins_block(content, path)}, path, [note])
     files: dict[int, Path] = {}
     if settings is not None:
         given, (path, content) = path, settings
@@ -141,22 +138,20 @@ def _vins_block(content: dict[str, Any], path: Path) -> dict[str, Any]:
     }
 
 
-EUROC = RigFormat(
-    name="euroc",
-    title=_EUROC_TITLE,
-    recognises=lambda text: _EUROC.search(text) is not None,
-    read=lambda text, path, _is_grey: _read_euroc(text, path, is_pair=False),
-    read_pair=lambda text, path, _is_grey: _read_euroc(text, path, is_pair=True),
-    missing=lambda _text, path, _is_grey: (
-        "the file of the other camera beside it, cam0/sensor.yaml and cam1/sensor.yaml, or LeftCameraParams.yaml and "
-        "RightCameraParams.yaml"
-    ),
+EUROC = format_by_pattern(
+    "euroc",
+    _EUROC_TITLE,
+    re.compile(r"^T_BS\s*:", re.MULTILINE),
+    partial(_read_euroc, is_pair=False),
+    "the file of the other camera beside it, cam0/sensor.yaml and cam1/sensor.yaml, or LeftCameraParams.yaml and "
+    "RightCameraParams.yaml",
+    partial(_read_euroc, is_pair=True),
 )
-VINS = RigFormat(
-    name="vins",
-    title=_VINS_TITLE,
-    recognises=lambda text: _VINS.search(text) is not None,
-    read=lambda text, path, _is_grey: _read_vins(text, path, is_pair=False),
-    read_pair=lambda text, path, _is_grey: _read_vins(text, path, is_pair=True),
-    missing=lambda _text, _path, _is_grey: "settings of VINS with cam0_calib, cam1_calib and body_T_cam0, body_T_cam1",
+VINS = format_by_pattern(
+    "vins",
+    _VINS_TITLE,
+    re.compile(r"^(?:model_type|cam0_calib|body_T_cam0)\s*:", re.MULTILINE),
+    partial(_read_vins, is_pair=False),
+    "settings of VINS with cam0_calib, cam1_calib and body_T_cam0, body_T_cam1",
+    partial(_read_vins, is_pair=True),
 )

@@ -35,7 +35,7 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.lenses import KANNALA_BRANDT, PINHOLE
 from track_range.stereo.geometry.rig import RigError, inverse_motion
 from track_range.stereo.geometry.rig_checks import RigCalibration
-from track_range.stereo.rig_formats.rig_format import RigFormat
+from track_range.stereo.rig_formats.rig_format import format_by_pattern
 from track_range.stereo.rig_formats.values.containers import plain_values
 
 _ZED_TITLE, _OAK_TITLE, _REALSENSE_TITLE = "ZED's SN*.conf", "DepthAI's (OAK) calibration", "RealSense's calibration"
@@ -276,32 +276,22 @@ def _rs_camera(body: str) -> PinholeCamera | None:
     names = ("fx", "fy", "ppx", "ppy", "width", "height")
     if not all(values.get(name) for name in names):
         return None
-    *focal, width, height = (values[name][0] for name in names)
+    fx, fy, ppx, ppy, width, height = (values[name][0] for name in names)
     coefficients = values.get("coeffs", [])
     is_fisheye = "kannala" in body.lower() or "f-theta" in body.lower()
     distortion = coefficients[:4] if is_fisheye else coefficients[:5] if any(coefficients) else []
     lens = KANNALA_BRANDT if is_fisheye and len(distortion) == 4 else PINHOLE
-    return PinholeCamera(*focal, round(min(width, 1e6)), round(min(height, 1e6)), tuple(distortion), lens)
+    return PinholeCamera(fx, fy, ppx, ppy, round(min(width, 1e6)), round(min(height, 1e6)), tuple(distortion), lens)
 
 
-ZED = RigFormat(
-    name="zed",
-    title=_ZED_TITLE,
-    recognises=lambda text: _ZED_SECTION.search(text) is not None,
-    read=lambda text, path, _is_grey: _read_zed(text, path),
-    missing=lambda _text, _path, _is_grey: "sections LEFT_CAM_HD and RIGHT_CAM_HD",
+ZED = format_by_pattern("zed", _ZED_TITLE, _ZED_SECTION, _read_zed, "sections LEFT_CAM_HD and RIGHT_CAM_HD")
+OAK = format_by_pattern(
+    "oak", _OAK_TITLE, re.compile('"cameraData"'), _read_oak, "cameraData of the left and the right socket"
 )
-OAK = RigFormat(
-    name="oak",
-    title=_OAK_TITLE,
-    recognises=lambda text: '"cameraData"' in text,
-    read=lambda text, path, _is_grey: _read_oak(text, path),
-    missing=lambda _text, _path, _is_grey: "cameraData of the left and the right socket",
-)
-REALSENSE = RigFormat(
-    name="realsense",
-    title=_REALSENSE_TITLE,
-    recognises=lambda text: 'Intrinsic of "' in text or 'Extrinsic from "' in text,
-    read=lambda text, path, _is_grey: _read_realsense(text, path),
-    missing=lambda _text, _path, _is_grey: 'the stream "Infrared 2"',
+REALSENSE = format_by_pattern(
+    "realsense",
+    _REALSENSE_TITLE,
+    re.compile('Intrinsic of "|Extrinsic from "'),
+    _read_realsense,
+    'the stream "Infrared 2"',
 )

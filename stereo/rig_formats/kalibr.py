@@ -31,7 +31,7 @@ from track_range.foundation.validation import Number, validated
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError, inverse_motion
 from track_range.stereo.geometry.rig_checks import ImageSide, RigCalibration
-from track_range.stereo.rig_formats.rig_format import RigFormat
+from track_range.stereo.rig_formats.rig_format import format_by_pattern
 from track_range.stereo.rig_formats.values.containers import yaml_of_opencv
 
 _CAMERA = re.compile(r"^cam\d+\s*:(?!\s*\n\s+K\s*:)", re.MULTILINE)  # blocks at the top level, not those of scripts
@@ -141,10 +141,4 @@ def _camera(content: object, name: str) -> tuple[PinholeCamera, _CameraBlock]:
     return PinholeCamera(fu, fv, pu, pv, *block.resolution, (*of_lens, *coefficients), model.lens), block
 
 
-KALIBR = RigFormat(
-    name="kalibr",
-    title="Kalibr's camchain.yaml",
-    recognises=lambda text: _CAMERA.search(text) is not None,
-    read=lambda text, path, _is_grey: _read(text, path),
-    missing=lambda _text, _path, _is_grey: "a block cam1",
-)
+KALIBR = format_by_pattern("kalibr", "Kalibr's camchain.yaml", _CAMERA, _read, "a block cam1")

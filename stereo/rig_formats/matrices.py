@@ -12,7 +12,9 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,18 +27,17 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.lenses import KANNALA_BRANDT, PINHOLE
 from track_range.stereo.geometry.rig import RigError, inverse_motion
 from track_range.stereo.geometry.rig_checks import MAX_SIDE_PX, RigCalibration
-from track_range.stereo.rig_formats.rig_format import RigFormat
+from track_range.stereo.rig_formats.rig_format import format_by_pattern
 from track_range.stereo.rig_formats.values.containers import (
+    EXPECTED,
     K_AND_BASELINE,
     VIRTUAL_KITTI,
-    calibration_text,
     plain_values,
 )
 from track_range.stereo.rig_formats.values.partners import is_second, other_half, partner_of
-from track_range.stereo.rig_formats.values.quantities import Quantities, Side, quantities_of
+from track_range.stereo.rig_formats.values.quantities import Quantities, Side, quantities_of, read_quantities
 
-EXPECTED = "a calibration"
-_OPENCV_TITLE = "the files of OpenCV's stereo_calib"
+Pair = tuple[Side, Side]
 _WIDE_M = 1.0  # of usual baselines; scripts without a square size have 2 to 5 squares
 _VEHICLE = 2.6  # width of the widest vehicles, metres; no baseline is longer
 _MILLIMETRES, _CENTIMETRES = 30.0, 5.0  # |T| from which it is read as millimetres, and as centimetres
@@ -44,8 +45,6 @@ _FISHEYE_RAD = 1.6  # 2 cx / fx of images with four coefficients above which the
 _TOLERANCE = 0.02  # largest relative difference of lengths, and difference of rotations, that agree
 _UNITS = {"mm": 0.001, "millimeter": 0.001, "cm": 0.01, "centimeter": 0.01, "m": 1.0, "meter": 1.0, "in": 0.0254}
 UNIT_NAMES = {0.001: "millimetres", 0.01: "centimetres", 1.0: "metres", 0.0254: "inches"}
-
-
 _DOUBT = "in doubt"  # in the place of the reason for a unit
 
 
@@ -64,84 +63,63 @@ class Kind(NamedTuple):
 _M = re.MULTILINE
 KINDS = (
     Kind("middlebury", "Middlebury's calib.txt", re.compile(r"^cam0\s*=\s*\[", _M), 0.001, is_rectified=True),
-    Kind(
-        "cityscapes",
-        "Cityscapes' camera.json",
-        re.compile(r'"baseline"[\s\S]*"u0"|"u0"[\s\S]*"baseline"'),
-        1.0,
-        (2048, 1024),
-        "images of 2048x1024 px, as all of Cityscapes",
-        is_rectified=True,
-    ),
+    Kind("cityscapes", "Cityscapes' camera.json", re.compile(r'"baseline"[\s\S]*"u0"|"u0"[\s\S]*"baseline"'), 1.0,
+         (2048, 1024), "images of 2048x1024 px, as all of Cityscapes", is_rectified=True),
     Kind("foundation-stereo", "FoundationStereo's K.txt", K_AND_BASELINE, 1.0, is_rectified=True),
-    Kind(
-        "virtual-kitti",
-        "Virtual KITTI's intrinsic.txt",
-        VIRTUAL_KITTI,
-        1.0,
-        (1242, 375),
-        "the baseline of Virtual KITTI 2 and its images of 1242x375 px",
-        is_rectified=True,
-    ),
+    Kind("virtual-kitti", "Virtual KITTI's intrinsic.txt", VIRTUAL_KITTI, 1.0, (1242, 375),
+         "the baseline of Virtual KITTI 2 and its images of 1242x375 px", is_rectified=True),
     Kind("orb-slam", "ORB-SLAM's settings", re.compile(r"^(?:Camera1?\.fx|LEFT\.K)\s*:", _M), 1.0),
     Kind("matlab", "MATLAB's stereoParameters", re.compile("(?i)RotationOfCamera2|RadialDistortion")),
     Kind("realsense-json", "RealSense's intrinsics and extrinsics in JSON", re.compile(r'"(?:ppx|PPX)"'), 1.0),
-    Kind("opencv", _OPENCV_TITLE, re.compile("opencv-matrix|<opencv_storage>")),
+    Kind("opencv", "the files of OpenCV's stereo_calib", re.compile("opencv-matrix|<opencv_storage>")),
     Kind("matrices", "matrices by name, K1 D1 K2 D2 R T", re.compile("")),
-)
+)  # fmt: skip
+_EXTRINSIC = ("R", "T", "second_from_first", "first_from_second")
 
 
 def read_kind(kind: Kind, text: str, path: Path, *, is_pair: bool) -> RigCalibration:
     """The cameras of a file of a kind; with the files beside it that complete a pair, if `is_pair`."""
-    given = quantities_of(
-        plain_values(text, path, "a calibration of OpenCV" if kind.name == "opencv" else EXPECTED), path
-    )
-    given, beside = _completed(given, path, is_pair=is_pair)
-    if not any(quantity in ("K", "fx", "P") for _, quantity in given.values):
+    expected = "a calibration of OpenCV" if kind.name == "opencv" else EXPECTED
+    given, beside = _completed(quantities_of(plain_values(text, path, expected), path), path, is_pair=is_pair)
+    if not given.has("K", "fx", "P"):
         raise RigError(_unusable(given, path))
     sides = given.sides()[:2] or [None]
+    pair: Pair = sides[0], sides[1] if len(sides) == 2 else 2
     title = kind.title + (f" with {' and '.join(file.name for file in beside)}" if beside else "")
     notes: list[str] = []
     is_fisheye = _is_fisheye(given, sides, path, notes)
-    has_extrinsics = any(quantity in _EXTRINSIC for _, quantity in given.values)
+    has_extrinsics = given.has(*_EXTRINSIC)
     if has_extrinsics and sides in ([2], ["right"]):
         raise _incomplete(given, ["M1"], path)
-    projections = [given.of(side, "P") for side in sides]
-    has_projections = len(sides) == 2 and all(p is not None and p.size == 12 for p in projections)
-    if has_projections and not any(given.of(side, "K") is not None for side in sides):
-        return _rectified_pair(given, [p for p in projections if p is not None], path)
+    projections = _projections(given, pair) if len(sides) == 2 else None
+    if projections is not None and not any(given.of(side, "K") is not None for side in sides):
+        size_px = _size(given, None, PinholeCamera.of_matrix(projections[0], (0, 0)), path)
+        cameras = [PinholeCamera.of_matrix(projection, size_px) for projection in projections]
+        note = f"{path}: projection matrices P1 and P2"
+        return _parallel(kind, given, cameras, _offset(*projections), note, "rectified images")
     left = _camera(kind, given, sides[0], "1", path, is_fisheye=is_fisheye)
     length = given.of(None, "baseline")
     if length is None and (bf := given.of(None, "bf")) is not None:
         fx = given.of(None, "fx")
         length = bf / (left.fx_px if fx is None else fx)
     is_depth_camera = "DepthMapFactor" in text or (kind.name == "orb-slam" and any(left.distortion))
-    if length is not None and not has_extrinsics and not has_projections and not is_depth_camera:
-        second = _camera(kind, given, sides[1], "2", path, is_fisheye=is_fisheye) if len(sides) == 2 else left
-        metres, reason = _unit(kind, given, abs(float(length[0])))
-        pair_of = "rectified images" if kind.is_rectified or not left.is_distorted else "parallel cameras"
-        notes.append(f"{path}: {title}: the baseline is {abs(length[0]) * metres:.5g} m, {reason}; {pair_of}.")
-        if kind.assumption:
-            notes.append(f"{path}: assumed: {kind.assumption}.")
-        motion = np.eye(4)
-        motion[0, 3] = -abs(float(length[0])) * metres
-        return RigCalibration(left, second, motion, notes=tuple(notes), metres_per_unit=metres)
+    if length is not None and not has_extrinsics and projections is None and not is_depth_camera:
+        right = _camera(kind, given, sides[1], "2", path, is_fisheye=is_fisheye) if len(sides) == 2 else left
+        images = "rectified images" if kind.is_rectified or not left.is_distorted else "parallel cameras"
+        notes += [f"{path}: assumed: {kind.assumption}."] if kind.assumption else []
+        return _parallel(kind, given, [left, right], -abs(float(length[0])), f"{path}: {title}", images, notes)
     if not has_extrinsics and len(sides) < 2:
         return RigCalibration(left, None, None, notes=tuple(notes))
-    motion = _motion(given, sides, path, notes)
-    right = _camera(kind, given, sides[1] if len(sides) == 2 else 2, "2", path, is_fisheye=is_fisheye)
+    motion = _motion(given, pair, path, notes)
+    right = _camera(kind, given, pair[1], "2", path, is_fisheye=is_fisheye)
     length = float(np.linalg.norm(motion[:3, 3]))
     metres, reason = _unit(kind, given, length)
     doubt = (
-        ""
-        if reason != _DOUBT
-        else (
-            f"{path}: expected T in metres, found one {length:.4g} long, which is wider than a vehicle; give its unit: "
-            "rig convert FILE rig.yaml --unit mm, cm or m; or multiply T by the side of a square, if it counts "
-            "squares of the board."
-        )
+        f"{path}: expected T in metres, found one {length:.4g} long, which is wider than a vehicle; give its unit: "
+        "rig convert FILE rig.yaml --unit mm, cm or m; or multiply T by the side of a square, if it counts squares of "
+        "the board."
     )
-    _contradictions(given, sides, motion, path, notes)
+    _contradictions(given, pair, motion, path, notes)
     motion[:3, 3] *= metres
     notes.insert(0, f"{path}: {title}: the baseline is {length * metres:.4g} m, {reason}.")
     if motion[0, 3] > abs(motion[1, 3]) and sides[0] is not None:
@@ -157,74 +135,80 @@ def read_kind(kind: Kind, text: str, path: Path, *, is_pair: bool) -> RigCalibra
                 f"{path}: by T, camera {sides[1]} is to the left of camera {sides[0]} (x2 = R x1 + T), so it is used "
                 "as the left camera; if T is its position instead, swap the cameras in the file."
             )
-    return RigCalibration(left, right, motion, notes=tuple(notes), metres_per_unit=metres, unit_doubt=doubt)
-
-
-_EXTRINSIC = ("R", "T", "R_transposed", "second_from_first", "first_from_second")
+    return RigCalibration(
+        left, right, motion, notes=tuple(notes), metres_per_unit=metres, unit_doubt=doubt if reason == _DOUBT else ""
+    )
 
 
 def _completed(given: Quantities, path: Path, *, is_pair: bool) -> tuple[Quantities, list[Path]]:
     """The quantities with those of the files beside `path` that complete them: extrinsics, intrinsics, other camera."""
-    has_cameras = any(quantity in ("K", "fx") for _, quantity in given.values)
-    has_extrinsics = any(quantity in (*_EXTRINSIC, "P", "baseline", "bf") for _, quantity in given.values)
+    has_cameras, has_extrinsics = given.has("K", "fx"), given.has(*_EXTRINSIC, "P", "baseline", "bf")
     is_single = has_cameras and len(given.sides()) < 2
     if has_extrinsics != has_cameras and (not is_single or "intrinsic" in path.stem):
         other = other_half(path, is_intrinsic=has_cameras)
-        merged = given if other is None else given | _read(other)
+        merged = given if other is None else given | read_quantities(other)
         if has_cameras or other is None or len(merged.sides()) == 2 or (partner := partner_of(other)) is None:
             return merged, [] if other is None else [other]
-        return given | _read(other).of_one_side("left") | _read(partner).of_one_side("right"), [other, partner]
+        return given | read_quantities(other).of_one_side("left") | read_quantities(partner).of_one_side("right"), [
+            other,
+            partner,
+        ]
     if is_pair and is_single and not has_extrinsics and (partner := partner_of(path)) is not None:
         first, second = (partner, path) if is_second(path) else (path, partner)
-        both = _read(first).of_one_side("left") | _read(second).of_one_side("right")
+        both = read_quantities(first).of_one_side("left") | read_quantities(second).of_one_side("right")
         other = other_half(path, is_intrinsic=True)
-        return (both, [partner]) if other is None else (both | _read(other), [partner, other])
+        return (both, [partner]) if other is None else (both | read_quantities(other), [partner, other])
     return given, []
 
 
-def _read(path: Path) -> Quantities:
-    return quantities_of(plain_values(calibration_text(path, EXPECTED), path, EXPECTED), path)
-
-
-def _rectified_pair(given: Quantities, projections: list[FloatArray], path: Path) -> RigCalibration:
-    """The pair of two projection matrices, (12,) each, of rectified images."""
-    first, second = (projection.reshape(3, 4) for projection in projections)
-    offset = second[0, 3] / second[0, 0] - first[0, 3] / first[0, 0]
-    metres, reason = _unit(KINDS[-1], given, abs(float(offset)))
-    size_px = _size(given, None, PinholeCamera.of_matrix(first, (0, 0)), path)
+def _parallel(
+    kind: Kind,
+    given: Quantities,
+    cameras: Sequence[PinholeCamera],
+    offset: float,
+    note: str,
+    images: str,
+    notes: Sequence[str] = (),
+) -> RigCalibration:
+    """The pair of two parallel cameras; `offset` = -B in the unit of the file."""
+    metres, reason = _unit(kind, given, abs(offset))
     motion = np.eye(4)
     motion[0, 3] = offset * metres
-    length = f"the baseline is {abs(offset) * metres:.5g} m, {reason}"
-    note = f"{path}: projection matrices P1 and P2 of rectified images: {length}"
-    cameras = [PinholeCamera.of_matrix(projection, size_px) for projection in (first, second)]
-    return RigCalibration(cameras[0], cameras[1], motion, notes=(f"{note}.",), metres_per_unit=metres)
+    note = f"{note}: the baseline is {abs(offset) * metres:.5g} m, {reason}; {images}."
+    return RigCalibration(cameras[0], cameras[1], motion, notes=(note, *notes), metres_per_unit=metres)
 
 
-def _motion(given: Quantities, sides: list[Side], path: Path, notes: list[str]) -> FloatArray:
+def _projections(given: Quantities, pair: Pair) -> list[FloatArray] | None:
+    """The (3, 4) projection matrices of both rectified cameras; None if one is missing."""
+    projections = [given.of(side, "P") for side in pair]
+    return [p.reshape(3, 4) for p in projections] if all(p is not None and p.size == 12 for p in projections) else None
+
+
+def _offset(first: FloatArray, second: FloatArray) -> float:
+    """-B of two projection matrices, in the unit of the file."""
+    return float(second[0, 3] / second[0, 0] - first[0, 3] / first[0, 0])
+
+
+def _motion(given: Quantities, pair: Pair, path: Path, notes: list[str]) -> FloatArray:
     """(4, 4) transform from the first camera's frame to the second's, in the unit of the file."""
     motion = np.eye(4)
     for quantity in ("second_from_first", "first_from_second"):
         if (numbers := given.of(None, quantity)) is not None:
             motion[:3] = numbers.reshape(-1, 4)[:3]
             return motion if quantity == "second_from_first" else inverse_motion(motion)
-    transposed, translation = given.of(None, "R_transposed"), given.of(None, "T")
-    if transposed is not None and translation is not None:  # MATLAB's
-        motion[:3, :3], motion[:3, 3] = transposed.reshape(3, 3).T, translation
-        return motion
-    first, second = (sides[0], sides[1]) if len(sides) == 2 else (None, None)
-    if (None, "T") not in given.values and (second, "T") in given.values:  # a pose of each camera
-        poses = [_pose(given, side, path) for side in (first, second)]
-        return np.asarray(poses[1] @ inverse_motion(poses[0]))
-    projections = [given.of(side, "P") for side in (first, second)]
-    rotations = [given.of(side, "rect") for side in (first, second)]
-    is_rectified = all(p is not None and p.size == 12 for p in projections) and all(r is not None for r in rotations)
-    if (None, "T") not in given.values and is_rectified:
-        p, r = ([numbers.reshape(3, -1) for numbers in pair] for pair in (projections, rotations))
-        offset = p[1][0, 3] / p[1][0, 0] - p[0][0, 3] / p[0][0, 0]
-        motion[:3, :3], motion[:3, 3] = r[1].T @ r[0], r[1].T @ np.array([offset, 0.0, 0.0])
-        notes.append(f"{path}: R and T by R1, R2, P1 and P2.")
-        return motion
-    missing = [name for name in ("M2", "D2", "R", "T") if not _has(given, sides, name)]
+    if (None, "T") not in given.values:
+        if (pair[1], "T") in given.values:  # a pose of each camera
+            first, second = (_pose(given, side, path) for side in pair)
+            return np.asarray(second @ inverse_motion(first))
+        projections, rotations = _projections(given, pair), [given.of(side, "rect") for side in pair]
+        if projections is not None and all(rotation is not None for rotation in rotations):
+            r1, r2 = (rotation.reshape(3, 3) for rotation in rotations)
+            motion[:3, :3], motion[:3, 3] = r2.T @ r1, r2.T @ np.array([_offset(*projections), 0.0, 0.0])
+            notes.append(f"{path}: R and T by R1, R2, P1 and P2.")
+            return motion
+    of_second = {"M2": ("K", "fx"), "D2": ("D", "radial", "k1")}
+    missing = [name for name, keys in of_second.items() if not any((pair[1], key) in given.values for key in keys)]
+    missing += [name for name in ("R", "T") if given.of(None, name) is None]
     if missing:
         raise _incomplete(given, missing, path)
     motion = _pose(given, None, path)
@@ -237,14 +221,6 @@ def _incomplete(given: Quantities, missing: list[str], path: Path) -> RigError:
         f"folder, found no {', '.join(missing)}; give the complete calibration, one with M1 and D1 for one camera, "
         f"or complete a track-range rig template (keys found: {_listed(given.keys)})."
     )
-
-
-def _has(given: Quantities, sides: list[Side], name: str) -> bool:
-    if name in ("R", "T"):
-        return given.of(None, name) is not None
-    quantities = ("K", "fx") if name[0] == "M" else ("D", "radial", "k1")
-    side = sides[1] if len(sides) == 2 else 2
-    return any((side, quantity) in given.values for quantity in quantities)
 
 
 def _pose(given: Quantities, side: Side, path: Path) -> FloatArray:
@@ -261,16 +237,14 @@ def _pose(given: Quantities, side: Side, path: Path) -> FloatArray:
     return motion
 
 
-def _contradictions(given: Quantities, sides: list[Side], motion: FloatArray, path: Path, notes: list[str]) -> None:
+def _contradictions(given: Quantities, pair: Pair, motion: FloatArray, path: Path, notes: list[str]) -> None:
     """Compare R and T with the rectification in the same file; an R that is the inverse is inverted in place."""
-    first, second = (sides[0], sides[1]) if len(sides) == 2 else (None, None)
-    r: list[FloatArray | None] = [given.values.get((side, "rect")) for side in (first, second)]
-    p = given.values.get((second, "P"))
+    r: list[FloatArray | None] = [given.values.get((side, "rect")) for side in pair]
+    p = given.values.get((pair[1], "P"))
     if r[0] is not None and r[1] is not None and p is not None and (None, "T") in given.values:
         r1, r2 = r[0].reshape(3, 3), r[1].reshape(3, 3)
-        errors = [
-            float(np.abs(r2 @ rotation @ r1.T - np.eye(3)).max()) for rotation in (motion[:3, :3], motion[:3, :3].T)
-        ]
+        rotation = motion[:3, :3]
+        errors = [float(np.abs(r2 @ either @ r1.T - np.eye(3)).max()) for either in (rotation, rotation.T)]
         if errors[0] > _TOLERANCE > errors[1]:
             motion[:] = inverse_motion(motion)
             notes.append(
@@ -315,13 +289,11 @@ def _unit(kind: Kind, given: Quantities, length: float) -> tuple[float, str]:
 
 
 def _camera(kind: Kind, given: Quantities, side: Side, number: str, path: Path, *, is_fisheye: bool) -> PinholeCamera:
-    name = given.names.get((side, "K"), f"M{number}")
-    matrix = given.of(side, "K")
+    name, matrix = given.names.get((side, "K"), f"M{number}"), given.of(side, "K")
+    matrix = _of_scalars(given, side) if matrix is None else matrix
+    if matrix is None and number == "2":
+        raise _incomplete(given, ["M2"], path)
     if matrix is None:
-        matrix = _of_scalars(given, side)
-    if matrix is None:
-        if number == "2":
-            raise _incomplete(given, ["M2"], path)
         raise RigError(
             f"{path}: expected the matrix M1 in this file or in an intrinsics file in its folder, found none; give "
             f"stereo_calib's intrinsics.yml (keys found: {_listed(given.keys)})."
@@ -350,8 +322,8 @@ def _camera(kind: Kind, given: Quantities, side: Side, number: str, path: Path, 
     lens = KANNALA_BRANDT if is_fisheye and distortion.size == 4 else PINHOLE
     camera = PinholeCamera.of_matrix(matrix, (0, 0), distortion, lens)
     size_px = _size(given, side, camera, path)
-    size_px = size_px if size_px[0] else kind.size_px
-    return replace(camera, width_px=size_px[0], height_px=size_px[1])
+    width_px, height_px = size_px if size_px[0] else kind.size_px
+    return replace(camera, width_px=width_px, height_px=height_px)
 
 
 def _of_scalars(given: Quantities, side: Side) -> FloatArray | None:
@@ -389,14 +361,11 @@ def _is_fisheye(given: Quantities, sides: list[Side], path: Path, notes: list[st
     if (flag := given.of(None, "fisheye")) is not None:
         return bool(flag.any())
     model = str(given.of(sides[0], "model") or "").lower()
-    has_k4 = (
-        given.of(sides[0], "k4") is not None and given.of(sides[0], "p1") is None and given.of(sides[0], "k5") is None
-    )
+    has_k4 = [given.of(sides[0], name) is not None for name in ("k4", "p1", "k5")] == [True, False, False]
     if has_k4 or model == "kb" or any(word in model for word in ("kannala", "fisheye", "equidistant")):
         return True
-    names = [given.names.get((side, "K"), "") for side in sides]
-    distortion, k = _distortion(given, sides[0]), given.of(sides[0], "K")
-    if distortion is None or k is None or distortion.size != 4 or not names[0].startswith("K") or k.size != 9:
+    distortion, k, name = _distortion(given, sides[0]), given.of(sides[0], "K"), given.names.get((sides[0], "K"), "")
+    if distortion is None or k is None or distortion.size != 4 or not name.startswith("K") or k.size != 9:
         return False
     is_wide = bool(2 * k[2] > _FISHEYE_RAD * k[0])
     lens, other = ("OpenCV's fisheye model", 0) if is_wide else ("k1, k2, p1, p2 of a usual lens", 1)
@@ -418,10 +387,9 @@ def _size(given: Quantities, side: Side, camera: PinholeCamera, path: Path) -> t
         size = np.array([width[0], height[0]])
     elif size is None:
         return 0, 0
-    elif abs(size[0] / 2 - camera.cx_px) + abs(size[1] / 2 - camera.cy_px) > abs(size[1] / 2 - camera.cx_px) + abs(
-        size[0] / 2 - camera.cy_px
-    ):
-        size = size[[1, 0]]  # rows and columns, as MATLAB's and NumPy's
+    else:  # or rows and columns, as MATLAB's and NumPy's
+        centre = np.array([camera.cx_px, camera.cy_px])
+        size = min(size[[0, 1]], size[[1, 0]], key=lambda either: float(np.abs(either / 2 - centre).sum()))
     if not ((size >= 1) & (size <= MAX_SIDE_PX)).all():
         raise RigError(
             f"{path}: expected an image_width and image_height of 1 to {MAX_SIDE_PX} px, found "
@@ -501,17 +469,14 @@ def _listed(keys: tuple[str, ...]) -> str:
     return shortened(", ".join(keys[:12]), 60)
 
 
-def _format(kind: Kind) -> RigFormat:
-    return RigFormat(
-        name=kind.name,
-        title=kind.title,
-        recognises=lambda text: kind.pattern.search(text) is not None,
-        read=lambda text, path, _is_grey: read_kind(kind, text, path, is_pair=False),
-        read_pair=lambda text, path, _is_grey: read_kind(kind, text, path, is_pair=True),
-        missing=lambda _text, path, _is_grey: (
-            f"M2, D2, R and T in this file or in intrinsics/extrinsics{path.suffix} in its folder"
-        ),
+FORMATS = {
+    kind.name: format_by_pattern(
+        kind.name,
+        kind.title,
+        kind.pattern,
+        partial(read_kind, kind, is_pair=False),
+        "M2, D2, R and T in this file or in intrinsics/extrinsics{suffix} in its folder",
+        partial(read_kind, kind, is_pair=True),
     )
-
-
-FORMATS = {kind.name: _format(kind) for kind in KINDS}
+    for kind in KINDS
+}

@@ -16,7 +16,7 @@ from track_range.stereo.rig_formats.body_frames import EUROC, VINS
 from track_range.stereo.rig_formats.devices import OAK, REALSENSE, ZED
 from track_range.stereo.rig_formats.kalibr import KALIBR
 from track_range.stereo.rig_formats.kitti import KITTI
-from track_range.stereo.rig_formats.matrices import EXPECTED, FORMATS
+from track_range.stereo.rig_formats.matrices import FORMATS
 from track_range.stereo.rig_formats.opencv import OPENCV
 from track_range.stereo.rig_formats.rig_format import RigFormat, RigWriter
 from track_range.stereo.rig_formats.rig_yaml import RIG_YAML
@@ -143,7 +143,7 @@ def find_rig(left_video: Path) -> Path | None:
 
 def format_of(path: Path) -> tuple[RigFormat, str]:
     """The format of a calibration file, and its text; raises RigError if it cannot be read."""
-    text = calibration_text(path, EXPECTED)
+    text = calibration_text(path)
     return next(rig_format for rig_format in RIG_FORMATS if rig_format.recognises(text)), text
 
 

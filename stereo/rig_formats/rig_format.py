@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +31,25 @@ class RigFormat:
     # as `read`, for two videos: a file with one camera is completed by one beside it; None = `read`
     read_pair: Callable[[str, Path, bool], RigCalibration] | None = None
     write: RigWriter | None = None  # writes a file; None = the format is only read
+
+
+def format_by_pattern(
+    name: str,
+    title: str,
+    pattern: re.Pattern[str],  # in the text
+    read: Callable[[str, Path], RigCalibration],
+    missing: str,
+    read_pair: Callable[[str, Path], RigCalibration] | None = None,
+) -> RigFormat:
+    """A format that is only read, without grey images; {suffix} in `missing` is the file's suffix."""
+    return RigFormat(
+        name=name,
+        title=title,
+        recognises=lambda text: pattern.search(text) is not None,
+        read=lambda text, path, _is_grey: read(text, path),
+        read_pair=lambda text, path, _is_grey: (read_pair or read)(text, path),
+        missing=lambda _text, path, _is_grey: missing.format(suffix=path.suffix),
+    )
 
 
 def write_rig_text(path: Path, text: str) -> None:

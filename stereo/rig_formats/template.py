@@ -8,10 +8,9 @@ import numpy as np
 
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError
-from track_range.stereo.rig_formats.matrices import EXPECTED, camera_values, partial_motion
+from track_range.stereo.rig_formats.matrices import camera_values, partial_motion
 from track_range.stereo.rig_formats.reading import read_calibration
-from track_range.stereo.rig_formats.values.containers import calibration_text, plain_values
-from track_range.stereo.rig_formats.values.quantities import quantities_of
+from track_range.stereo.rig_formats.values.quantities import read_quantities
 
 _KEYS = ("fx_px", "fy_px", "cx_px", "cy_px", "width_px", "height_px")
 _HINTS = {
@@ -40,7 +39,7 @@ def rig_template(path: Path, *, metres_per_unit: float | None = None) -> str:
             raise
         reason = str(error)
         try:
-            given = quantities_of(plain_values(calibration_text(path, EXPECTED), path, EXPECTED), path)
+            given = read_quantities(path)
             cameras, motion = [camera_values(given, number) for number in (0, 1)], partial_motion(given, path)
         except RigError:
             pass

@@ -32,9 +32,11 @@ from track_range.foundation.files.structured_text import parse_json, parse_yaml
 from track_range.stereo.geometry.rig import RigError
 from track_range.stereo.rig_formats.values.mat_file import MARK, MatFile
 
+EXPECTED = "a calibration"
 MAX_NUMBERS = 196  # largest number of numbers in a matrix of a calibration: 14 x 14
 _MAX_ARRAYS = 200  # arrays of an .npz
 _MAX_BYTES = 64_000_000  # of a file with remap tables
+_MAX_ARRAY_BYTES = 8 * MAX_NUMBERS + 10_000  # of a small array with its header
 _PICKLE = re.compile(rb"\x80[\x02-\x05]")  # the protocols 2 to 5
 _PICKLE_ADVICE = (
     "which can run programs and is not opened; save its matrices with numpy.savez('calib.npz', K1=K1, D1=D1, K2=K2, "
@@ -44,20 +46,15 @@ _MATLAB_ADVICE = (
     "in MATLAB: s = toStruct(stereoParams); save('stereo.mat', 's', '-v7'), or write K1, D1, K2, D2, R and T with "
     "jsonencode to a .json"
 )
-_BINARY = (  # begin of the content, what it is, what to do
-    (b"\x89HDF", "a MATLAB file of version 7.3 (HDF5)", _MATLAB_ADVICE),
-    (b"\x89PNG", "a picture", "give the file of the calibration"),
-    (
-        b"\xff\xd8\xff",
-        "a picture",
-        "give the file of the calibration, or calibrate with such pictures: calibrate --stereo",
-    ),
-    (b"SVO", "a recording of a ZED", "give its factory calibration, SN followed by the serial number, .conf"),
-    (b"\x89MCAP", "a bag", "give it as the recording; its camera_info is read from there"),
-    (b"#ROSBAG", "a bag", "give it as the recording; its camera_info is read from there"),
-    (b"\x1f\x8b", "a gzip archive", "unpack it first"),
-    (b"%PDF", "a document", "type its numbers into a rig.yaml (track-range rig template FILE)"),
-)
+_BINARY = (  # begins of the content, what it is, what to do
+    ((b"\x89HDF", b"MATLAB 7.3"), "a MATLAB file of version 7.3 (HDF5)", _MATLAB_ADVICE),
+    ((b"\x89PNG", b"\xff\xd8\xff"), "a picture",
+     "give the file of the calibration, or calibrate with such pictures: calibrate --stereo"),
+    ((b"SVO",), "a recording of a ZED", "give its factory calibration, SN followed by the serial number, .conf"),
+    ((b"\x89MCAP", b"#ROSBAG"), "a bag", "give it as the recording; its camera_info is read from there"),
+    ((b"\x1f\x8b",), "a gzip archive", "unpack it first"),
+    ((b"%PDF",), "a document", "type its numbers into a rig.yaml (track-range rig template FILE)"),
+)  # fmt: skip
 _LARGE = re.compile(r"(data:\s*\[|<data>|\"data\":\s*\[)[^\]<]{4000,}")  # numbers of large matrices
 _YAML_HEAD = re.compile(r"\A\s*%YAML[^\n]*\n|!!opencv-[a-z-]+|^(?:---|\.\.\.)[ \t]*$", re.MULTILINE)
 _NO_SPACE = re.compile(r"^([ \t]*[A-Za-z][\w.]*):(?=[-\[\d.])", re.MULTILINE)  # OpenCV allows it, YAML does not
@@ -74,33 +71,31 @@ _VIRTUAL_BASELINE_M = 0.532725  # of Virtual KITTI 2, europe.naverlabs.com
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 
 
-def calibration_text(path: Path, expected: str) -> str:
+def calibration_text(path: Path) -> str:
     """Text of a calibration file; NumPy's and MATLAB's files as JSON, without large arrays.
 
     Raises RigError if the file cannot be read, is too large, or is another kind of file, which the message names.
     """
-    with open_regular(path, RigError, expected) as file:
+    with open_regular(path, RigError, EXPECTED) as file:
         start = file.read(512) or b""
     if start.startswith((b"PK\x03\x04", b"\x93NUMPY")):
-        return _numpy_text(path, expected)
+        return _numpy_text(path)
     if start.startswith(MARK):
-        return _matlab_text(path, expected)
-    if start.startswith(b"MATLAB 7.3"):
-        raise RigError(f"{path}: expected {expected}, found {_BINARY[0][1]}; {_MATLAB_ADVICE}.")
+        return _matlab_text(path)
     if _PICKLE.match(start):
-        raise RigError(f"{path}: expected {expected}, found a Python pickle, {_PICKLE_ADVICE}.")
-    for mark, noun, advice in _BINARY:
-        if start.startswith(mark):
-            raise RigError(f"{path}: expected {expected}, found {noun}; {advice}.")
+        raise RigError(f"{path}: expected {EXPECTED}, found a Python pickle, {_PICKLE_ADVICE}.")
+    for marks, noun, advice in _BINARY:
+        if start.startswith(marks):
+            raise RigError(f"{path}: expected {EXPECTED}, found {noun}; {advice}.")
     is_storage = start.lstrip().startswith((b"%YAML", b"<?xml", b"<opencv_storage"))
-    text = read_text(path, RigError, expected, max_bytes=_MAX_BYTES if is_storage else MAX_TEXT_BYTES)
+    text = read_text(path, RigError, EXPECTED, max_bytes=_MAX_BYTES if is_storage else MAX_TEXT_BYTES)
     text = _LARGE.sub(r"\1", text) if is_storage else text
     if len(text) > MAX_TEXT_BYTES:
-        raise RigError(f"{path}: expected {expected} of at most {MAX_TEXT_BYTES // 1_000_000} MB, found more.")
+        raise RigError(f"{path}: expected {EXPECTED} of at most {MAX_TEXT_BYTES // 1_000_000} MB, found more.")
     return text
 
 
-def plain_values(text: str, path: Path, expected: str) -> dict[str, Any]:
+def plain_values(text: str, path: Path, expected: str = EXPECTED) -> dict[str, Any]:
     """Values by key of a calibration's text, numbers of matrices also as texts; raises RigError for broken syntax."""
     start = text.lstrip()[:1]
     if K_AND_BASELINE.match(text):
@@ -178,20 +173,18 @@ def _xml_values(text: str, path: Path, expected: str) -> dict[str, Any]:
     return {node.tag: value(node) for node in root}
 
 
-def _numpy_text(path: Path, expected: str) -> str:
+def _numpy_text(path: Path) -> str:
     """The small arrays of an .npz or .npy file by name as JSON; null for others."""
-    content = read_bytes(path, RigError, expected, max_bytes=_MAX_BYTES)
-    arrays: dict[str, Any] = {}
+    content = read_bytes(path, RigError, EXPECTED, max_bytes=_MAX_BYTES)
     try:
         if content.startswith(b"\x93NUMPY"):
-            arrays = {path.stem: parse_array(io.BytesIO(content), len(content))}
-            arrays |= _beside(path)
+            arrays = {path.stem: parse_array(io.BytesIO(content), len(content)), **_beside(path)}
         else:
             with zipfile.ZipFile(io.BytesIO(content)) as archive:
                 members = [info for info in archive.infolist()[:_MAX_ARRAYS] if info.filename.endswith(".npy")]
                 if not members:
                     raise RigError(
-                        f"{path}: expected {expected}, found a ZIP archive without arrays of NumPy; unpack it, and "
+                        f"{path}: expected {EXPECTED}, found a ZIP archive without arrays of NumPy; unpack it, and "
                         "give the calibration in it."
                     )
                 arrays = {info.filename[:-4]: _member(archive, info) for info in members}
@@ -200,8 +193,8 @@ def _numpy_text(path: Path, expected: str) -> str:
     except Exception as reason:  # the parsers of archives and headers raise a dozen unrelated types
         problem = shortened(str(reason).partition("\n")[0], 100)
         if "object" in problem:
-            raise RigError(f"{path}: expected {expected}, found a pickled object in it, {_PICKLE_ADVICE}.") from reason
-        raise RigError(f"{path}: expected {expected} as arrays of NumPy, found an error: {problem}.") from reason
+            raise RigError(f"{path}: expected {EXPECTED}, found a pickled object in it, {_PICKLE_ADVICE}.") from reason
+        raise RigError(f"{path}: expected {EXPECTED} as arrays of NumPy, found an error: {problem}.") from reason
     return json.dumps({name: _listed(array) for name, array in arrays.items()}, allow_nan=False)
 
 
@@ -209,8 +202,8 @@ def _beside(path: Path) -> dict[str, Any]:
     """The small arrays in the other .npy files of a folder, which are those of one calibration, by name."""
     arrays: dict[str, Any] = {}
     for file in sorted(path.absolute().parent.glob("*.npy"))[:_MAX_ARRAYS]:
-        if file.is_file() and file.stat().st_size <= 8 * MAX_NUMBERS + 10_000:
-            content = read_bytes(file, RigError, "an array", max_bytes=8 * MAX_NUMBERS + 10_000)
+        if file.is_file() and file.stat().st_size <= _MAX_ARRAY_BYTES:
+            content = read_bytes(file, RigError, "an array", max_bytes=_MAX_ARRAY_BYTES)
             with contextlib.suppress(Exception):  # of arrays that are not numbers, which are not needed
                 arrays[file.stem] = parse_array(io.BytesIO(content), len(content))
     return arrays
@@ -218,30 +211,29 @@ def _beside(path: Path) -> dict[str, Any]:
 
 def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Any:
     """A small array of an .npz; None for a large one."""
-    limit = 8 * MAX_NUMBERS + 10_000
-    if info.file_size > limit:
+    if info.file_size > _MAX_ARRAY_BYTES:
         return None
     with archive.open(info) as file:
-        content = file.read(limit)
+        content = file.read(_MAX_ARRAY_BYTES)
     return parse_array(io.BytesIO(content), len(content))
 
 
-def _matlab_text(path: Path, expected: str) -> str:
+def _matlab_text(path: Path) -> str:
     """The variables of a .mat file by name as JSON, with the structs of saved objects as its cameras."""
-    content = read_bytes(path, RigError, expected, max_bytes=_MAX_BYTES)
+    content = read_bytes(path, RigError, EXPECTED, max_bytes=_MAX_BYTES)
     try:
         file = MatFile(content)
         values = {name: _listed(value) for name, value in file.values.items()}
     except Exception as reason:  # of damaged sizes and types
         problem = shortened(str(reason).partition("\n")[0], 100)
-        raise RigError(f"{path}: expected {expected} as a MATLAB file, found an error: {problem}.") from reason
+        raise RigError(f"{path}: expected {EXPECTED} as a MATLAB file, found an error: {problem}.") from reason
     cameras = [content for content in file.objects if "RadialDistortion" in content]
     pair = next((content for content in file.objects if "RotationOfCamera2" in content), {})
     named = {f"CameraParameters{number}": camera for number, camera in enumerate(cameras[:2], 1)}
     if cameras or pair:
         values = {"stereoParams": _listed(pair | named)}
     if not any(values.values()):
-        raise RigError(f"{path}: expected {expected}, found objects of MATLAB without numbers; {_MATLAB_ADVICE}.")
+        raise RigError(f"{path}: expected {EXPECTED}, found objects of MATLAB without numbers; {_MATLAB_ADVICE}.")
     return json.dumps(values, allow_nan=False)
 
 

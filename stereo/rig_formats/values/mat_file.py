@@ -22,20 +22,9 @@ MARK = b"MATLAB 5.0 MAT-file"  # begin of the header
 _MAX_BYTES = 64_000_000  # of all elements after decompression
 _MAX_DEPTH = 16  # of nested structs and cells
 _MAX_VALUES = 20_000  # fields and cells of a file
-_TYPES = {
-    1: "i1",
-    2: "u1",
-    3: "i2",
-    4: "u2",
-    5: "i4",
-    6: "u4",
-    7: "f4",
-    9: "f8",
-    12: "i8",
-    13: "u8",
-    16: "u1",
-    17: "u2",
-}
+_TYPES = {  # of numbers
+    1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8", 16: "u1", 17: "u2",
+}  # fmt: skip
 _MATRIX, _COMPRESSED = 14, 15  # types of elements
 _CELL, _STRUCT, _OBJECT, _TEXT, _SPARSE, _OPAQUE = 1, 2, 3, 4, 5, 17  # classes of matrices
 

@@ -7,27 +7,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 _SUFFIXES = (".yml", ".yaml", ".xml", ".json", ".npz", ".npy", ".txt", ".conf", ".mat")
-_OTHER_SIDE = {
-    "left": "right",
-    "right": "left",
-    "Left": "Right",
-    "Right": "Left",
-    "LEFT": "RIGHT",
-    "RIGHT": "LEFT",
-    "cam0": "cam1",
-    "camera0": "camera1",
-    "camera_0": "camera_1",
-    "cam_0": "cam_1",
-    "infra1": "infra2",
-    "cam2": "cam1",
-    "camera2": "camera1",
-    "camera_2": "camera_1",
-    "cam_2": "cam_1",
-    "infra2": "infra1",
-}
-_FIRST = {"cam1": ("cam0", "cam2"), "camera1": ("camera0", "camera2"), "camera_1": ("camera_0", "camera_2"),
-          "cam_1": ("cam_0", "cam_2")}  # fmt: skip
-_SIDE = re.compile("|".join(sorted([*_OTHER_SIDE, *_FIRST], key=len, reverse=True)))
+_PAIRS = (
+    *(("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("infra1", "infra2")),
+    *((f"{noun}{n}", f"{noun}{n + 1}") for noun in ("cam", "camera", "cam_", "camera_") for n in (0, 1)),
+)
+_OTHERS = {word: [a if word == b else b for a, b in _PAIRS if word in (a, b)] for pair in _PAIRS for word in pair}
+_SIDE = re.compile("|".join(sorted(_OTHERS, key=len, reverse=True)))
 _LETTER = re.compile(r"([_.-])([lLrR])(?=[_.-]|$)")  # camera_L.yml
 _LETTERS = {"l": "r", "r": "l", "L": "R", "R": "L"}
 _EXTRINSIC = re.compile(r"extrin|stereo|relative|rt\b|pose", re.IGNORECASE)  # names of files with R and T
@@ -37,9 +22,7 @@ _MAX_FILES = 50  # files of a folder that are looked at
 def other_sides(name: str) -> Iterator[str]:
     """Names of the file of the other camera; none for a name without a side."""
     if match := _SIDE.search(name):
-        for word in (_OTHER_SIDE.get(match[0]), *_FIRST.get(match[0], ())):
-            if word:
-                yield name.replace(match[0], word)
+        yield from (name.replace(match[0], word) for word in _OTHERS[match[0]])
     elif _LETTER.search(Path(name).stem):
         yield _LETTER.sub(lambda match: match[1] + _LETTERS[match[2]], name)
 
@@ -54,11 +37,9 @@ def partner_of(path: Path) -> Path | None:
 
 def is_second(path: Path) -> bool:
     """Whether the name of a file, else of its folder, is that of a right camera, or of one with a larger number."""
-    word = _side_word(path)
-    partner = partner_of(path) if word in _FIRST else None
-    return (
-        word.lower() in ("right", "r") or word[-1:] == "2" or (partner is not None and _side_word(partner)[-1:] == "0")
-    )
+    word, partner = _side_word(path), partner_of(path)
+    is_after_zero = partner is not None and _side_word(partner).endswith("0")
+    return word.lower() in ("right", "r") or word.endswith("2") or is_after_zero
 
 
 def _side_word(path: Path) -> str:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import quoted
 from track_range.foundation.validation import Integer, Number, validated
 from track_range.stereo.geometry.rig import RigError
-from track_range.stereo.rig_formats.values.containers import MAX_NUMBERS
+from track_range.stereo.rig_formats.values.containers import MAX_NUMBERS, calibration_text, plain_values
 
 _SEPARATORS = re.compile(r"[^a-z0-9]")
 _SIDES = r"left|right|l|r|\d{1,3}"
@@ -72,12 +73,8 @@ _NAMES: dict[str, str] = {
     "model": "cameratype distortionmodel modeltype model cameramodel type",
 }
 _QUANTITY = {name: quantity for quantity, names in _NAMES.items() for name in names.split()}
-_SCALARS = {
-    name: name for name in ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "s1", "s2", "s3", "s4", "xi", "alpha")
-}
-_OF_PAIR = frozenset(
-    "R T R_transposed second_from_first first_from_second baseline bf Q square unit fisheye inverse".split()
-)
+_SCALARS = "k1 k2 k3 k4 k5 k6 p1 p2 s1 s2 s3 s4 xi alpha".split()
+_OF_PAIR = "R_transposed second_from_first first_from_second baseline bf Q square unit fisheye inverse".split()
 _COUNTS = {  # possible numbers of values
     "K": (9, 4), "D": (0, 1, 2, 4, 5, 8, 12, 14), "radial": (2, 3), "tangential": (2,), "R": (9, 3),
     "R_transposed": (9,), "T": (3,), "rect": (9,), "P": (12, 9), "Q": (16,), "second_from_first": (16, 12),
@@ -115,6 +112,10 @@ class Quantities(NamedTuple):
         """The value of a side, else of both; None if there is none."""
         return self.values.get((side, quantity), self.values.get((None, quantity)))
 
+    def has(self, *quantities: str) -> bool:
+        """Whether one of these is known of any side."""
+        return any(quantity in quantities for _, quantity in self.values)
+
     def __or__(self, other: Quantities) -> Quantities:
         """These quantities, completed by others."""
         return Quantities(
@@ -133,8 +134,8 @@ class Quantities(NamedTuple):
     def sides(self) -> list[Side]:
         """The sides of the file's cameras, the first (left, or with the smaller number) first; [] = none is named."""
         named = {side for side, quantity in self.values if quantity in ("K", "fx", "P") and side is not None}
-        words = [side for side in ("left", "right") if side in named]
-        return [*words, *sorted(side for side in named if isinstance(side, int))] if len(words) < 2 else [*words]
+        words: list[Side] = [side for side in ("left", "right") if side in named]
+        return words if len(words) == 2 else [*words, *sorted(side for side in named if isinstance(side, int))]
 
 
 def quantities_of(content: Mapping[str, Any], source: object) -> Quantities:
@@ -154,14 +155,21 @@ def quantities_of(content: Mapping[str, Any], source: object) -> Quantities:
         if (numbers := _value(value, quantity, key, source)) is not None:
             named.values[side, quantity] = numbers
             named.names[side, quantity] = key
+    if (transposed := named.values.get((None, "R_transposed"))) is not None:  # MATLAB's
+        named.values[None, "R"] = transposed.reshape(3, 3).T.ravel()
     q = named.values.get((None, "Q"))
-    if q is not None and q[14] and q[11] > 0 and not any(quantity in ("K", "fx", "P") for _, quantity in named.values):
+    if q is not None and q[14] and q[11] > 0 and not named.has("K", "fx", "P"):
         named.values[None, "K"] = np.array([q[11], q[11], -q[3], -q[7]])  # of the rectified images
         named.values.setdefault((None, "baseline"), np.array([abs(1.0 / q[14])]))
     for side in {side for side, quantity in named.values if quantity == "P" and side is not None}:
         if (side, "R") in named.values and (side, "T") not in named.values:  # as in camera_info
             named.values.setdefault((side, "rect"), named.values.pop((side, "R")))
     return named
+
+
+def read_quantities(path: Path) -> Quantities:
+    """The quantities of a file; raises RigError if it cannot be read."""
+    return quantities_of(plain_values(calibration_text(path), path), path)
 
 
 def _top_keys(content: Mapping[str, Any]) -> Iterator[str]:
@@ -206,7 +214,7 @@ def _named(path: tuple[str, ...], value: Any) -> tuple[Side, str | None]:
     for affix, word in _AFFIXES.items():
         stems = (name.removeprefix(affix), name.removesuffix(affix))
         quantity = next((_QUANTITY[stem] for stem in stems if stem != name and stem in _QUANTITY), None)
-        if quantity and quantity not in _OF_PAIR - {"R", "T"}:
+        if quantity and quantity not in _OF_PAIR:
             return _word_side(word), "rect" if quantity == "R" and n_values == 9 else quantity
     return None, None
 
