@@ -11,6 +11,7 @@ else      natural order: fields of digits are compared as numbers
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 from collections.abc import Sequence
@@ -38,17 +39,12 @@ _EPOCH_S = (6e8, 4.2e9)  # 1989 to 2103; a time in this range is taken as one si
 _MAX_GAP = 100  # largest mean step of numbers that count frames
 _TIME_FILES = ("timestamps.txt", "times.txt", "data.csv", "timestamps.csv", "times.csv", "rgb.txt")
 _MAX_LINE_BYTES = 300  # of these files, per image
-_SIDES = (  # parts of names of the left and the right camera; between other characters than letters and digits
-    *(
-        ("left", "right"),
-        ("l", "r"),
-        ("cam0", "cam1"),
-        ("cam_0", "cam_1"),
-        ("camera0", "camera1"),
-        ("infra1", "infra2"),
-    ),
-    *(("camera_0", "camera_1"), ("image_02", "image_03"), ("image_2", "image_3"), ("image_00", "image_01")),
-    *(("image_0", "image_1"), ("cam1", "cam2"), ("leftimg8bit", "rightimg8bit"), ("im0", "im1")),
+_SIDES = tuple(  # words in names of the left and the right camera, between other characters than letters and digits
+    tuple(pair.split())
+    for pair in (
+        "left right,l r,cam0 cam1,cam_0 cam_1,camera0 camera1,infra1 infra2,camera_0 camera_1,image_02 image_03,"
+        "image_2 image_3,image_00 image_01,image_0 image_1,cam1 cam2,leftimg8bit rightimg8bit,im0 im1"
+    ).split(",")
 )
 _FOLDERS = (*_SIDES, ("left_images", "right_images"), ("left_rgb", "right_rgb"), ("image_left", "image_right"))
 
@@ -81,10 +77,10 @@ def named_images(folder: Path) -> NamedImages:
         )
     notes: list[str] = []
     if (sides := _sides_in(files)) is not None:
-        files = sides[0]
+        files, right_files = sides.values()
         notes.append(
             f"{folder}: the images of two cameras; those of the left one are used ({files[0].name}, not "
-            f"{sides[1][0].name}); --stereo {folder} uses both."
+            f"{right_files[0].name}); --stereo {folder} uses both."
         )
     files = sorted(files, key=lambda file: (_fields(file.stem), file.name))
     times_s = _times_in_names([file.stem for file in files])
@@ -109,37 +105,26 @@ def stereo_images(folder: Path) -> tuple[Path, Path] | None:
     files = [file for file in folder.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES and file.name[0] != "."]
     if (sides := _sides_in(files)) is None:
         return None
-    words = [re.sub(r"([\[*?])", r"[\1]", _side_word(half[0].stem)) for half in sides]
-    return folder / f"*{words[0]}*", folder / f"*{words[1]}*"
+    left_name, right_name = sides
+    return folder / left_name, folder / right_name
 
 
-def _sides_in(files: Sequence[Path]) -> tuple[list[Path], list[Path]] | None:
-    """The images of the left and of the right camera, whose names differ only in the side; None = of one camera."""
-    for left, right in _SIDES:
-        halves = [[file for file in files if _word(side).search(file.stem)] for side in (left, right)]
-        remaining = [
-            {_word(side).sub("", file.stem.lower()) for file in half}
-            for side, half in zip((left, right), halves, strict=True)
-        ]
-        if halves[0] and halves[1] and len(remaining[0] & remaining[1]) > min(map(len, remaining)) / 2:
-            return sorted(halves[0]), sorted(halves[1])
+def _sides_in(files: Sequence[Path]) -> dict[str, list[Path]] | None:
+    """Pattern and images of the left and of the right camera, whose names differ only in the side; None = of one."""
+    for sides in _SIDES:
+        halves: dict[str, list[Path]] = {}
+        remaining: list[set[str]] = []
+        for side in sides:
+            digits = "0-9" if side[-1].isdigit() else ""
+            word = re.compile(rf"(?<![a-z]){side}(?![a-z{digits}])", re.IGNORECASE)
+            if found := {file: match for file in sorted(files) if (match := word.search(file.stem))}:
+                remaining.append({word.sub("", file.stem.lower()) for file in found})
+                first = next(iter(found.values()))
+                start, end = ("*[!a-zA-Z]" if first.start() else "", "[!a-zA-Z]*") if len(side) == 1 else "**"
+                halves[f"{start}{first[0]}{end}"] = list(found)
+        if len(halves) == 2 and len(remaining[0] & remaining[1]) > min(map(len, remaining)) / 2:
+            return halves
     return None
-
-
-def _word(side: str) -> re.Pattern[str]:
-    return re.compile(rf"(?<![a-z]){re.escape(side)}(?![a-z{'0-9' if side[-1].isdigit() else ''}])", re.IGNORECASE)
-
-
-def _side_word(stem: str) -> str:
-    """The part of a name that states the side, with the character before or behind it for a single letter."""
-    for pair in _SIDES:
-        for side in pair:
-            if match := _word(side).search(stem):
-                start, end = match.span()
-                return (
-                    stem[max(start - 1, 0) : end] if len(side) == 1 and start else stem[start : end + (len(side) == 1)]
-                )
-    return stem
 
 
 def _fields(stem: str) -> tuple[tuple[int, int, str], ...]:
@@ -176,41 +161,34 @@ def _times_in_names(stems: Sequence[str]) -> FloatArray | None:
         return None
     dates = [list(_DATE.finditer(stem)) for stem in stems]
     if all(dates):
-        try:
-            texts = ["{}-{}-{}T{}:{}:{}.{}".format(*(group or "0" for group in parts[-1].groups())) for parts in dates]
-            times_s = _if_distinct(np.array(texts, "datetime64[ns]").astype(np.int64) / 1e9)
-        except ValueError:
-            times_s = None
-        if times_s is not None:
-            return times_s
+        texts = ["{}-{}-{}T{}:{}:{}.{}".format(*(group or "0" for group in parts[-1].groups())) for parts in dates]
+        with contextlib.suppress(ValueError):  # such as of 30 February
+            times_s = np.array(texts, "datetime64[ns]").astype(np.int64) / 1e9
+            if _are_distinct(times_s):
+                return times_s
     decimals = [_DECIMAL.findall(stem) for stem in stems]
     if all(decimals):
         # Some programs write sec.micro without zeros in front of the fraction: 1305031102.75304 is 0.075304 s. The
         # reading with the steadier steps is taken.
         whole = np.array([float(parts[-1][0]) for parts in decimals])
         fractions = [parts[-1][1][:18] for parts in decimals]
-        n_digits = max(map(len, fractions))
-        readings = [
-            _if_distinct(whole + [float("0." + text) for text in texts])
-            for texts in (fractions, [text.zfill(n_digits) for text in fractions])
-        ]
-        distinct = [np.sort(reading) for reading in readings if reading is not None]
-        if distinct:
-            steadiest = min(distinct, key=lambda times_s: float(np.std(np.diff(times_s))))
-            return next(r for r in readings if r is not None and np.array_equal(np.sort(r), steadiest))
+        padded = [text.zfill(max(map(len, fractions))) for text in fractions]
+        readings = [whole + [float("0." + text) for text in texts] for texts in (fractions, padded)]
+        if distinct := [times_s for times_s in readings if _are_distinct(times_s)]:
+            return min(distinct, key=lambda times_s: float(np.std(np.diff(np.sort(times_s)))))
     integers = [_INTEGER.findall(stem) for stem in stems]
     return _in_seconds(np.array([float(parts[-1]) for parts in integers])) if all(integers) else None
 
 
-def _if_distinct(times_s: FloatArray) -> FloatArray | None:
-    return times_s if len(np.unique(times_s)) == len(times_s) else None
+def _are_distinct(times_s: FloatArray) -> bool:
+    return len(np.unique(times_s)) == len(times_s)
 
 
 def _in_seconds(values: FloatArray) -> FloatArray | None:
     """(N,) times in seconds of times in an unknown unit; None if none gives a plausible frame rate."""
-    steps = np.diff(np.unique(values))
-    if len(steps) + 1 < len(values) or not len(steps):
+    if len(values) < 2 or not _are_distinct(values):
         return None
+    steps = np.diff(np.sort(values))
     step, units = float(np.median(steps)), [unit for unit in _UNITS_S if _EPOCH_S[0] < values[0] * unit < _EPOCH_S[1]]
     plausible = [unit for unit in units or _UNITS_S if _STEP_S[0] <= step * unit <= _STEP_S[1]]
     if not plausible:
