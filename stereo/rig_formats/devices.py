@@ -258,10 +258,10 @@ def _read_realsense(text: str, path: Path) -> RigCalibration:
             pairs = ((intrinsics[first][size], intrinsics[second][size]) for size in sizes)
             rig, *others = [RigCalibration(*pair, motions[first, second], notes=(note,)) for pair in pairs]
             return replace(rig, others=tuple(others))
-    found = quoted(", ".join(stream for stream, cameras in intrinsics.items() if cameras) or "none")
+    names = quoted(", ".join(stream for stream, cameras in intrinsics.items() if cameras) or "none")
     raise RigError(
         f'{path}: expected intrinsics of "Infrared 1" and "Infrared 2" and the extrinsic between them, found those of '
-        f"{found}; write the file with rs-enumerate-devices -c > rig.txt."
+        f"{names}; write the file with rs-enumerate-devices -c > rig.txt."
     )
 
 

@@ -34,13 +34,11 @@ _RECOGNISED = re.compile(r"^(?:(?:camera|projection)_matrix|[kKpP])[ \t]*:", re.
 _HAS_SIZE = re.compile(r"^(?:image_)?width[ \t]*:|^projection_matrix|^[pP][ \t]*:", re.MULTILINE)  # scripts have none
 _OST = re.compile(r"^# oST|^\[image\]\s*$", re.MULTILINE)  # camera_calibration's text file
 _OST_NAMES = {
-    "width": "image_width",
-    "height": "image_height",
-    "camera matrix": "camera_matrix",
-    "distortion": "distortion_coefficients",
-    "rectification": "rectification_matrix",
-    "projection": "projection_matrix",
-}
+    "width": "image_width", "height": "image_height", "camera matrix": "camera_matrix", "projection": "projection_matrix",
+    "distortion": "distortion_coefficients", "rectification": "rectification_matrix",
+}  # fmt: skip
+_OST_VALUE = re.compile(rf"^[ \t]*({'|'.join(_OST_NAMES)})[ \t]*\n((?:[-+\d.eE \t]*\n)*)", re.MULTILINE)
+_OST_NUMBER = re.compile(r"[-+]?\d+\.?\d*(?:[eE][-+]?\d{1,3})?")
 _SEPARATOR = re.compile(r"^---[^\n]*$", re.MULTILINE)  # line between two YAML documents
 _SUFFIXES = (".yaml", ".yml")
 
@@ -107,25 +105,18 @@ def _is_camera_info(text: str) -> bool:
 
 
 def _ost_documents(text: str) -> list[dict[str, object]]:
-    """The keys and numbers of each camera of an ost.txt, under a name in brackets; the size is that of the last one."""
-    documents: list[dict[str, object]] = []
+    """The keys and numbers of each camera of an ost.txt, under its name in brackets; [image] is that of all."""
+    parts = ["image", *re.split(r"^[ \t]*\[(.*)\][ \t]*$", text.replace("\r", "") + "\n", flags=re.MULTILINE)]
     common: dict[str, object] = {}
-    key, numbers = "", list[str]()
-
-    def finish() -> None:
-        if key and numbers:
-            values: object = int(float(numbers[0])) if key in ("width", "height") else [float(word) for word in numbers]
-            (common if key in ("width", "height") else documents[-1] if documents else common)[_OST_NAMES[key]] = values
-
-    for line in [*map(str.strip, text.splitlines()), "[end]"]:
-        words = line.split()
-        if line in _OST_NAMES or line.startswith("["):
-            finish()
-            key, numbers = line if line in _OST_NAMES else "", []
-            if line.startswith("[") and line not in ("[image]", "[end]"):
-                documents.append({})
-        elif words and all(re.fullmatch(r"[-+]?\d+\.?\d*(?:[eE][-+]?\d{1,3})?", word) for word in words):
-            numbers += words[:20]
+    documents: list[dict[str, object]] = []
+    for name, body in zip(parts[::2], parts[1::2], strict=True):
+        if name != "image":
+            documents.append({})
+        for key, words in _OST_VALUE.findall(body):
+            numbers = [float(word) for word in words.split()[:20] if _OST_NUMBER.fullmatch(word)]
+            is_size = key in ("width", "height")
+            target = common if is_size or not documents else documents[-1]
+            target[_OST_NAMES[key]] = numbers[0] if is_size and numbers else numbers
     return [common | document for document in documents] or [common]
 
 

@@ -117,11 +117,11 @@ def _sides_in(files: Sequence[Path]) -> dict[str, list[Path]] | None:
         for side in sides:
             digits = "0-9" if side[-1].isdigit() else ""
             word = re.compile(rf"(?<![a-z]){side}(?![a-z{digits}])", re.IGNORECASE)
-            if found := {file: match for file in sorted(files) if (match := word.search(file.stem))}:
-                remaining.append({word.sub("", file.stem.lower()) for file in found})
-                first = next(iter(found.values()))
+            if matches := {file: match for file in sorted(files) if (match := word.search(file.stem))}:
+                remaining.append({word.sub("", file.stem.lower()) for file in matches})
+                first = next(iter(matches.values()))
                 start, end = ("*[!a-zA-Z]" if first.start() else "", "[!a-zA-Z]*") if len(side) == 1 else "**"
-                halves[f"{start}{first[0]}{end}"] = list(found)
+                halves[f"{start}{first[0]}{end}"] = list(matches)
         if len(halves) == 2 and len(remaining[0] & remaining[1]) > min(map(len, remaining)) / 2:
             return halves
     return None
