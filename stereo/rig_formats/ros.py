@@ -34,8 +34,8 @@ _RECOGNISED = re.compile(r"^(?:(?:camera|projection)_matrix|[kKpP])[ \t]*:", re.
 _HAS_SIZE = re.compile(r"^(?:image_)?width[ \t]*:|^projection_matrix|^[pP][ \t]*:", re.MULTILINE)  # scripts have none
 _OST = re.compile(r"^# oST|^\[image\]\s*$", re.MULTILINE)  # camera_calibration's text file
 _OST_NAMES = {
-    "width": "image_width", "height": "image_height", "camera matrix": "camera_matrix", "projection": "projection_matrix",
-    "distortion": "distortion_coefficients", "rectification": "rectification_matrix",
+    "width": "image_width", "height": "image_height", "camera matrix": "camera_matrix",
+    "distortion": "distortion_coefficients", "rectification": "rectification_matrix", "projection": "projection_matrix",
 }  # fmt: skip
 _OST_VALUE = re.compile(rf"^[ \t]*({'|'.join(_OST_NAMES)})[ \t]*\n((?:[-+\d.eE \t]*\n)*)", re.MULTILINE)
 _OST_NUMBER = re.compile(r"[-+]?\d+\.?\d*(?:[eE][-+]?\d{1,3})?")

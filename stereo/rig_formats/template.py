@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 import numpy as np
@@ -26,28 +27,20 @@ def rig_template(path: Path, *, metres_per_unit: float | None = None) -> str:
 
     `metres_per_unit` is the unit of the lengths in the file, None = by the file or their size.
     """
-    reason = ""
-    cameras: list[dict[str, object]] = [{}, {}]
-    motion = None
     try:
         calibration = read_calibration(path, is_grey=False, is_pair=True).in_unit(metres_per_unit)
         cameras = [{} if camera is None else _values(camera) for camera in (calibration.left, calibration.right)]
-        motion = None if calibration.unit_doubt else calibration.right_from_left
         reason = calibration.unit_doubt
+        motion = None if reason else calibration.right_from_left
     except RigError as error:
         if not path.exists():
             raise
-        reason = str(error)
-        try:
+        reason, cameras, motion = str(error), [{}, {}], None
+        with contextlib.suppress(RigError):
             given = read_quantities(path)
             cameras, motion = [camera_values(given, number) for number in (0, 1)], partial_motion(given, path)
-        except RigError:
-            pass
-    lines = [
-        f"# from {path.name}; fill in the blanks, in pixels and metres, and remove what a single camera does not have"
-    ]
-    lines += [f"# {reason}"] if reason else []
-    lines.append("track_range_rig: 1")
+    advice = "fill in the blanks, in pixels and metres, and remove what a single camera does not have"
+    lines = [f"# from {path.name}; {advice}", *([f"# {reason}"] if reason else []), "track_range_rig: 1"]
     for name, values in zip(("left", "right"), cameras, strict=True):
         lines.append(f"{name}:")
         for key in (*_KEYS, "distortion"):

@@ -85,6 +85,7 @@ _OTHER_SET = re.compile(r"rectified|optimal|new|undistort")  # keys of cameras o
 _KNOWN_MATRICES = ("M1", "D1", "M2", "D2", "K1", "K2", "R", "T", "camera_matrix", "distortion_coefficients")
 
 _MAX_SIDE = 14  # largest number of rows or columns; OpenCV has at most 14 distortion coefficients
+_Value = Annotated[Number, Field(ge=-1e12, le=1e12)]  # products of larger ones would overflow
 _Side = Annotated[Integer, Field(ge=1, le=_MAX_SIDE)]
 
 
@@ -94,10 +95,10 @@ class _Matrix(BaseModel):
     rows: _Side
     cols: _Side
     dt: Literal["d", "f", "i", "u", "w", "s", "c"] = "d"
-    data: Annotated[list[Number], Field(max_length=MAX_NUMBERS)]
+    data: Annotated[list[_Value], Field(max_length=MAX_NUMBERS)]
 
 
-_NUMBERS: TypeAdapter[list[float]] = TypeAdapter(Annotated[list[Number], Field(max_length=MAX_NUMBERS)])
+_NUMBERS: TypeAdapter[list[float]] = TypeAdapter(Annotated[list[_Value], Field(max_length=MAX_NUMBERS)])
 Side = str | int | None  # "left", "right", a number, or None for both cameras
 
 
@@ -203,9 +204,9 @@ def _named(path: tuple[str, ...], value: Any) -> tuple[Side, str | None]:
     words = [_SEPARATORS.sub("", key.lower()) for key in path]
     around = [match for word in words[:-1] if (match := _AROUND.fullmatch(word))]
     side = _side_of(around[-1]) if around else None
-    name, n_values = words[-1], _n_values(value)
+    name, n_values = words[-1], sum(1 for _ in _flat(value))
     if len(words) > 1 and words[-2] in _QUANTITY and re.fullmatch(_SIDES, name):  # camera_matrix: {left: ...}
-        return _side_of(re.fullmatch(f"({_SIDES})", name)), _QUANTITY[words[-2]]
+        return _word_side(name), _QUANTITY[words[-2]]
     if name in _SCALARS and n_values == 1:
         return side, name
     name = re.sub(r"(?<=.{4})(?:mm|cm)$", "", name) if name not in _QUANTITY else name
@@ -231,67 +232,50 @@ def _direction(path: tuple[str, ...]) -> int | None:
 
 
 def _side_of(match: re.Match[str] | None) -> Side:
-    return None if match is None else _word_side(next(group for group in match.groups() if group))
+    return None if match is None else _word_side(next(filter(None, match.groups())))
 
 
 def _word_side(word: str) -> Side:
     return {"l": "left", "r": "right"}.get(word, int(word) if word.isdecimal() else word)
 
 
-def _n_values(value: Any) -> int:
-    """Number of the numbers in a value."""
-    if isinstance(value, dict):
-        value = value.get("data")
-    if isinstance(value, list):
-        return sum(map(_n_values, value[:MAX_NUMBERS]))
-    return len(value.split()) if isinstance(value, str) else 1
-
-
 def _value(value: Any, quantity: str, key: str, source: object) -> Any:
     """(N,) numbers of a value, or the text of a unit or model; None for what is neither."""
     if quantity in ("unit", "model"):
         return value if isinstance(value, str) else None
-    is_left_out = isinstance(value, dict) and value.get("data") == [] and "rows" in value
-    if value is None or is_left_out:  # a large matrix
+    if value is None or (isinstance(value, dict) and value.get("data") == [] and "rows" in value):  # a large matrix
         return None
     is_strict = key in _KNOWN_MATRICES
-    numbers = _numbers(value, key, source) if is_strict or _is_matrix(value) else _loose_numbers(value)
-    counts = _COUNTS.get(quantity, (1,))
-    if numbers is None or not (is_strict or numbers.size in counts):
-        return None
-    return numbers
-
-
-def _numbers(value: Any, key: str, source: object) -> FloatArray:
-    """(N,) numbers of a matrix, a list or a number; those of a matrix are rounded as OpenCV rounds them."""
     if _is_matrix(value) and {"rows", "cols"} <= value.keys():
-        matrix = validated(_Matrix, value, f"{source}: {key}", RigError)
-        if len(matrix.data) != matrix.rows * matrix.cols:
-            raise RigError(
-                f"{source}: {key}: expected {matrix.rows} x {matrix.cols} numbers, found {len(matrix.data)}; calibrate "
-                "again."
-            )
-        return np.array(matrix.data, np.float32 if matrix.dt == "f" else np.float64).astype(np.float64)
-    numbers = _loose_numbers(value)
-    if numbers is None:
+        numbers: FloatArray | None = _stored(value, f"{source}: {key}")
+    elif (numbers := _numbers(value)) is None and (is_strict or _is_matrix(value)):
         raise RigError(f"{source}: {key}: expected numbers, found {quoted(value)}; calibrate again.")
-    return numbers
+    return numbers if numbers is not None and (is_strict or numbers.size in _COUNTS.get(quantity, (1,))) else None
 
 
-def _loose_numbers(value: Any) -> FloatArray | None:
+def _stored(value: dict[str, Any], name: str) -> FloatArray:
+    """(N,) numbers of a matrix in FileStorage, rounded as OpenCV rounds them."""
+    matrix = validated(_Matrix, value, name, RigError)
+    if len(matrix.data) != matrix.rows * matrix.cols:
+        raise RigError(
+            f"{name}: expected {matrix.rows} x {matrix.cols} numbers, found {len(matrix.data)}; calibrate again."
+        )
+    return np.array(matrix.data, np.float32 if matrix.dt == "f" else np.float64).astype(np.float64)
+
+
+def _numbers(value: Any) -> FloatArray | None:
     """(N,) numbers of nested lists, of {x, y, z}, of a text or of a number; None for others."""
-    if isinstance(value, dict):
-        value = value.get("data")
-    flat = value.split() if isinstance(value, str) else list(_flat(value))
     try:
-        return np.array(_NUMBERS.validate_python(flat), np.float64)
+        return np.array(_NUMBERS.validate_python(list(_flat(value))), np.float64)
     except ValidationError:
         return None
 
 
 def _flat(value: Any) -> Iterator[Any]:
+    """The values of nested lists, of the data of a matrix, or the words of a text."""
+    value = value.get("data") if isinstance(value, dict) else value
     if isinstance(value, list):
         for part in value[: MAX_NUMBERS + 1]:
-            yield from _flat(part)
+            yield from _flat(part) if isinstance(part, list) else (part,)
     else:
-        yield value
+        yield from value.split() if isinstance(value, str) else (value,)

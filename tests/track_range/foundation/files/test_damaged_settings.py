@@ -195,6 +195,8 @@ MATRIX = "%YAML:1.0\n---\nM1: !!opencv-matrix\n   rows: {}\n   cols: {}\n   dt: 
         ('{"opencv-matrix": 1, "M1": "$base64$AAAA"}', "M1"),
         (opencv_text(".yml").replace("image_width: 640", "image_width: 2147483648"), "image_width"),
         (opencv_text(".yml").replace("D2:", "D3:"), "D2"),
+        (opencv_text(".json").replace("-0.5", "-1e200"), "at least -1"),
+        (json.dumps(plain(values(NAMES[3], np.full((3, 1), -1e200)))), "no T"),
     ],
 )
 def test_wrong_opencv_files(tmp_path: Path, text: str, key_word: str) -> None:
