@@ -33,7 +33,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -44,7 +44,7 @@ from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.foundation.track_state import TrackState
 from track_range.ranging.filtering.cut_boxes import CutBoxes, SideState
 from track_range.ranging.filtering.key_distance import Growth, KeyDistance
-from track_range.ranging.filtering.motion_models import ModelSettings, MotionModels, covariance_of, mean_of
+from track_range.ranging.filtering.motion_models import STATIC_RATE_SIGMA_MPS, MotionModels, covariance_of, mean_of
 from track_range.ranging.ranges import Ranges
 
 _CAR = ROAD_CLASSES.index("car")
@@ -88,7 +88,6 @@ class FilteredRanges:
 class FilterSettings:
     """Settings of a distance filter."""
 
-    models: ModelSettings = field(default_factory=ModelSettings)  # models of the motion
     acceleration_noise: float = 1.5  # of the only model if `learns_noise` is off, m/s per square root of a second
     initial_rate_sigma_mps: float = 12.0  # of the rate of a new track if the ego speed is unknown
     target_speed_sigma_mps: float = 8.0  # of a new track's own speed if the ego speed is known: many targets are static
@@ -186,10 +185,10 @@ class DistanceFilters:
         self._methods = tuple(noise_shares)
         self._independent_fraction = np.array(list(noise_shares.values()))[:, None] ** 2  # of the variance
         self._noise_scale = NoiseScale(len(self._methods))
-        models = self._settings.models
+        self._models = MotionModels(len(self._methods))
         if not self._settings.learns_noise:
-            models = ModelSettings(acceleration_noises=(self._settings.acceleration_noise,), static_prior=0.0)
-        self._models = MotionModels(models, len(self._methods))
+            noises = (self._settings.acceleration_noise,)
+            self._models = MotionModels(len(self._methods), noises=noises, has_static=False)
         shape = (len(_NEW_TRACK), len(self._methods), len(self._models.q))
         self._tracks = TrackState(np.broadcast_to(np.array(_NEW_TRACK)[:, None, None], shape).copy())
 
@@ -249,7 +248,11 @@ class DistanceFilters:
         dV_variance = np.where(
             dV == 0, 0.0, 2 * np.nan_to_num(ego_sigma_mps) ** 2 * -np.expm1(-dt / _EGO_CORRELATION_S)
         )
-        state, side, q = ConstantVelocity(*last[:5]), SideState(*last[13:18]), models.q
+        state, side, q = (
+            ConstantVelocity(*last[:5]),
+            SideState._make(getattr(last, name) for name in SideState._fields),
+            models.q,
+        )
         is_side = (side.P_kk > 0) if cut is None else (side.P_kk > 0) | cut.is_cut
         if cut is not None and is_side.any():
             state, side, edge_variance = side.predicted(state, cut, dt, q=q)
@@ -267,7 +270,7 @@ class DistanceFilters:
             state.P_xv + dt / 2 * dV_variance,
         )
         P_vv = state.P_vv + dV_variance
-        key = KeyDistance(np.where(is_side, np.nan, last.r), *last[19:22]).predicted(dt)
+        key = KeyDistance(np.where(is_side, np.nan, last.r), last.P_dr, last.P_vr, last.P_rr).predicted(dt)
         static_mps = models.start_sigma_mps(classes, 0.0, np.sqrt(np.nan_to_num(last.systematic)) * ego_mps)
         # A static model that follows a moving object is no longer static: no object changes to it.
         is_moving = np.abs(v + ego_mps) > settings.outlier_sigma * static_mps
@@ -386,7 +389,7 @@ class DistanceFilters:
 
         # Static objects come nearer with V, whatever their size; the speed of others has the error of their size.
         is_static = self._models.is_static & np.isfinite(state.ego_mps)
-        static_P = self._settings.models.static_rate_sigma_mps**2 + np.nan_to_num(ego_sigma_mps) ** 2
+        static_P = STATIC_RATE_SIGMA_MPS**2 + np.nan_to_num(ego_sigma_mps) ** 2
         true_v = np.where(is_static, -state.ego_mps, state.v)
         true_P = np.where(is_static, static_P, state.P_vv + state.systematic * state.v**2)
         is_steady = time_s - state.steady_since_s[:, 0] >= self._settings.min_steady_s

@@ -7,22 +7,30 @@
     x = sum w_g x_g     P = sum w_g (P_g + (x_g - x) (x_g - x)')
 
 (Magill, Optimal adaptive estimation, 1965; Blom and Bar-Shalom, 1988, without the mixing of states.) The prior is that
-of the class in the drive: the time that its tracks have spent in each model, beside `prior_s` of the first prior. So a
-queue has another one than a motorway. Without ego speed there is no static model.
+of the class in the drive: the time that its tracks have spent in each model, beside 10 s of the first prior. So a queue
+has another one than a motorway. Without ego speed there is no static model. Constants without a source were chosen on
+13 of KITTI's tracking sequences.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 
-_IS_WALKER = np.array([name in ("person", "bicycle") for name in ROAD_CLASSES])
+ACCELERATION_NOISES = (0.25, 1.25)  # of the own speed of moving objects, m/s per square root of a second
+_STATIC_NOISE = 0.02  # the same of static objects, whose relative size error changes
+_STATIC_SIGMA_MPS = 0.1  # of the own speed of static objects at the start
+STATIC_RATE_SIGMA_MPS = 0.2  # of the closing speed of static objects beside that of the ego speed
+_STATIC_PRIOR = np.array([{"person": 0.2, "bicycle": 0.2}.get(name, 0.7) for name in ROAD_CLASSES])
+"""(road classes,) probability that a new object is static."""
+
+_PRIOR_S = 10.0  # time of tracks that weighs as much as the prior
+_SWITCH_S = 4.0  # time after which a moving object has changed between calm and agile
+_STATIC_SWITCH_S = 100.0  # time after which an object has started or stopped
 _SPEED_SIGMA_MPS = np.array([{"person": 1.5, "bicycle": 4.0}.get(name, np.inf) for name in ROAD_CLASSES])
-"""(road classes,) standard deviation of the own speed of moving objects, m/s; inf = that of the settings."""
+"""(road classes,) largest standard deviation of the own speed of moving objects, m/s."""
 
 _EVIDENCE = 1.5
 """Exponent a of the likelihoods. Fitted on KITTI's labelled tracks: with 1, static cars have a probability of 0.7 where
@@ -31,52 +39,38 @@ _EVIDENCE = 1.5
 _MAX_CHI2 = 25.0  # of innovations; larger ones are outliers in every model
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ModelSettings:
-    """Settings of the models of motion; constants without a source were chosen on 13 of KITTI's tracking sequences."""
-
-    acceleration_noises: tuple[float, ...] = (0.25, 1.25)  # of the own speed, m/s per square root of a second
-    static_noise: float = 0.02  # the same of static objects, whose relative size error changes
-    static_sigma_mps: float = 0.1  # of the own speed of static objects at the start
-    static_rate_sigma_mps: float = 0.2  # of the closing speed of static objects beside that of the ego speed
-    static_prior: float = 0.7  # probability that a new vehicle is static
-    static_walker_prior: float = 0.2  # the same of people and cyclists
-    prior_s: float = 10.0  # time of tracks that weighs as much as the prior
-    switch_s: float = 4.0  # time after which a moving object has changed between calm and agile
-    static_switch_s: float = 100.0  # time after which an object has started or stopped
-
-
 class MotionModels:
     """Probabilities of G models for M methods and N tracks, in arrays (M, G, N); counts the time of each by class."""
 
-    def __init__(self, settings: ModelSettings, n_methods: int = 1) -> None:
-        """Start with the priors."""
-        self._settings = settings
-        noises = np.array([settings.static_noise, *settings.acceleration_noises])
+    def __init__(
+        self, n_methods: int = 1, *, noises: tuple[float, ...] = ACCELERATION_NOISES, has_static: bool = True
+    ) -> None:
+        """Start with the priors; `noises` are those of moving objects, and without `has_static` all are moving."""
+        self._static_prior = _STATIC_PRIOR * has_static
+        noises = (_STATIC_NOISE, *noises)
         self.is_static: BoolArray = np.arange(len(noises))[:, None] == 0  # (G, 1)
-        self.q: FloatArray = noises[:, None] ** 2  # (G, 1)
+        self.q: FloatArray = np.array(noises)[:, None] ** 2  # (G, 1)
         self._seen_s = np.zeros((n_methods, len(noises), len(ROAD_CLASSES)))
 
     def prior(self, class_id: IntArray, may_be_static: BoolArray | bool) -> FloatArray:
         """(M, G, N) probabilities of the models of tracks of these classes."""
-        settings, seen_s = self._settings, self._seen_s[..., class_id]
-        static = np.where(_IS_WALKER[class_id], settings.static_walker_prior, settings.static_prior)
+        static = self._static_prior[class_id]
         before = np.where(self.is_static, static, (1 - static) / (len(self.q) - 1))
-        prior = (settings.prior_s * before + seen_s) * (may_be_static | ~self.is_static)
+        prior = (_PRIOR_S * before + self._seen_s[..., class_id]) * (may_be_static | ~self.is_static)
         return np.asarray(prior / prior.sum(axis=1, keepdims=True))
 
     def start_sigma_mps(self, class_id: IntArray, moving_mps: float, scale_mps: FloatArray) -> FloatArray:
         """Standard deviations of v of new tracks, by the own speed (`moving_mps`) and by the size (`scale_mps`)."""
         moving = np.minimum(_SPEED_SIGMA_MPS[class_id], moving_mps)
-        return np.hypot(np.where(self.is_static, self._settings.static_sigma_mps, moving), scale_mps)
+        return np.hypot(np.where(self.is_static, _STATIC_SIGMA_MPS, moving), scale_mps)
 
     def predicted(self, weight: FloatArray, prior: FloatArray, dt: FloatArray) -> FloatArray:
         """Probabilities (M, G, N) after the steps dt."""
-        settings, is_moving = self._settings, ~self.is_static
+        is_moving = ~self.is_static
         moving = prior * is_moving
         moving *= (weight * is_moving).sum(axis=1, keepdims=True) / np.maximum(moving.sum(axis=1, keepdims=True), 1e-9)
-        weight = weight - np.expm1(-dt / settings.switch_s) * np.where(is_moving, moving - weight, 0.0)
-        return np.asarray((weight - np.expm1(-dt / settings.static_switch_s) * (prior - weight)) * (prior > 0))
+        weight = weight - np.expm1(-dt / _SWITCH_S) * np.where(is_moving, moving - weight, 0.0)
+        return np.asarray((weight - np.expm1(-dt / _STATIC_SWITCH_S) * (prior - weight)) * (prior > 0))
 
     def updated(
         self, weight: FloatArray, nu: FloatArray, S: FloatArray, *, valid: BoolArray, evidence: float = _EVIDENCE

@@ -26,7 +26,7 @@ from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.track_state import TrackState
 from track_range.ranging.filtering.distance_filter import FilteredRanges
 from track_range.ranging.filtering.lateral_motion import LateralMotion
-from track_range.ranging.filtering.motion_models import ModelSettings
+from track_range.ranging.filtering.motion_models import STATIC_RATE_SIGMA_MPS
 from track_range.ranging.world.ego_path import EgoPose
 from track_range.stereo.odometry.ego_motion import EgoMotion
 
@@ -43,7 +43,7 @@ _MOVING_MPS, _WALKING_MPS = 8.0, 1.5  # M of vehicles and of people
 _ACROSS_MPS, _ALONG_FRACTION = 0.3, 0.75  # m, and the fraction of moving objects along the road
 
 _MAX_LOG_RATIO = 100.0  # against an overflow
-_REST_SIGMA_MPS = ModelSettings().static_rate_sigma_mps  # of the speed of an object at rest, as in the filter
+_REST_SIGMA_MPS = STATIC_RATE_SIGMA_MPS  # of the speed of an object at rest, as in the filter
 _UNKNOWN_EGO_SIGMA_MPS = 0.1  # sigma_V of an ego speed without one
 _MAX_SIGMA_MPS = 3.0  # largest standard deviation of a reported speed
 _SURE = 0.8  # probability of rest or of motion that changes the state

@@ -6,7 +6,7 @@ import pytest
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.ranging.filtering.cut_boxes import CutBoxes
 from track_range.ranging.filtering.distance_filter import DistanceFilters
-from track_range.ranging.filtering.motion_models import ModelSettings, MotionModels, covariance_of, mean_of
+from track_range.ranging.filtering.motion_models import MotionModels, covariance_of, mean_of
 from track_range.ranging.ranges import Ranges
 
 CAR, PERSON, STEP_S, EGO_MPS = ROAD_CLASSES.index("car"), ROAD_CLASSES.index("person"), 0.1, 10.0
@@ -78,7 +78,7 @@ def test_sigma_is_true_for_parked_and_moving_objects():
 
 def test_a_class_learns_how_it_moves():
     """A prior of half a minute: after vehicles that all move, the next one is less likely static, and conversely."""
-    models = MotionModels(ModelSettings())
+    models = MotionModels()
     cars, people = np.array([CAR]), np.array([PERSON])
     before = models.prior(cars, True)[0, :, 0]
     assert before == pytest.approx([0.7, 0.15, 0.15])
@@ -91,7 +91,7 @@ def test_a_class_learns_how_it_moves():
 
 def test_probabilities_follow_the_likelihoods():
     """By Bayes' rule, with the exponent 1.5 of the evidence; innovations that are not valid change nothing."""
-    models = MotionModels(ModelSettings())
+    models = MotionModels()
     weight, nu, S = (np.array(values)[None, :, None] for values in ([0.5, 0.3, 0.2], [2.0, 1.0, 0.5], [1.0, 1.0, 4.0]))
     expected = [0.5 * np.exp(-3.0), 0.3 * np.exp(-0.75), 0.2 * np.exp(-0.75 * 0.0625) / np.sqrt(8.0)]
     updated = models.updated(weight, nu, S, valid=np.array([[[True]]]))
@@ -100,7 +100,7 @@ def test_probabilities_follow_the_likelihoods():
 
 
 def test_probabilities_return_to_the_prior():
-    models = MotionModels(ModelSettings())
+    models = MotionModels()
     prior, weight = models.prior(np.array([CAR]), True), np.array([0.0, 1.0, 0.0])[None, :, None]
     soon = models.predicted(weight, prior, np.full((1, 3, 1), 4.0))[0, :, 0]
     assert soon.sum() == pytest.approx(1.0)
