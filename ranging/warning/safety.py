@@ -35,7 +35,7 @@ _MIN_GAP_M = 0.1  # smallest gap of a deceleration
 _MIN_EGO_MPS = 0.5  # smallest ego speed of a headway
 _MIN_OWN_MPS = -2.0  # smallest speed along the road of a lead: it does not come towards the ego vehicle
 _LANE_M, _LANE_SIGMA_M = 3.5, 0.3  # width of a lane; standard deviation of the ego path from the middle of its lane
-_MAX_GAP_S = 1.0  # longest interruption of a track that counts for TET and TIT
+MAX_GAP_S = 1.0  # longest interruption of a track that counts for TET and TIT
 
 HALF_WIDTH_M = np.array([0.3, 0.3, 0.9, 0.4, 1.25, 1.25, 0.0, 0.0])
 """(road classes,) half of the typical width of each class, m."""
@@ -125,9 +125,9 @@ class SafetyMonitor:
         # Exposure.
         below_s = TTC_LIMIT_S - ttc_s
         tet_s, tit_s2, last_s = self._tracks.get(track_id)
-        dt = np.where(time_s - last_s <= _MAX_GAP_S, time_s - last_s, 0.0)
+        dt = np.where(time_s - last_s <= MAX_GAP_S, time_s - last_s, 0.0)
         tet_s, tit_s2 = tet_s + dt * (below_s > 0), tit_s2 + dt * np.fmax(below_s, 0.0)
-        is_recent = time_s - self._tracks.known[2] <= _MAX_GAP_S
+        is_recent = time_s - self._tracks.known[2] <= MAX_GAP_S
         self._tracks.put(track_id, np.stack([tet_s, tit_s2, np.full(len(dt), time_s)]), keep_known=is_recent)
 
         is_lead = is_on_path & _IS_VEHICLE[class_id] & np.isfinite(gap_m)

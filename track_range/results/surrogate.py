@@ -12,7 +12,7 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import IntArray
 from track_range.foundation.files.atomic_files import atomic_path, describe
 from track_range.foundation.files.output_files import OutputError
-from track_range.ranging.warning.safety import HALF_WIDTH_M, post_encroachment_s
+from track_range.ranging.warning.safety import HALF_WIDTH_M, MAX_GAP_S, post_encroachment_s
 from track_range.results.columns import Columns, most_frequent, rows_by_track
 from track_range.results.folder import read_run_folder
 from track_range.results.formats.parquet_file import PARQUET_FILE, read_tracks_parquet
@@ -66,7 +66,8 @@ def _road_users(clip: str, columns: Columns, poses: Poses | None, source: Path) 
 
 def _measures(name: str, columns: Columns, rows: IntArray, ego: Any) -> dict[str, Any]:
     time_s = columns["time_s"][rows]
-    lead_s = float(np.sum(np.minimum(np.diff(time_s), 1.0) * (columns["is_lead"][rows][:-1] > 0)))
+    steps_s, is_lead = np.diff(time_s), columns["is_lead"][rows][:-1] > 0
+    lead_s = float(steps_s[is_lead & (steps_s <= MAX_GAP_S)].sum())
     row: dict[str, Any] = {"track_id": int(columns["track_id"][rows[0]]), "class": name}
     row |= {"state": most_frequent(columns["state"][rows]) if "state" in columns else ""}
     row |= {"from_s": float(time_s[0]), "to_s": float(time_s[-1]), "lead_s": lead_s}

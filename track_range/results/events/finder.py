@@ -151,7 +151,7 @@ class _Open:
     kind: EventKind
     group: int  # of the class of its object, see `SAME_OBJECT_GROUP`
     start_s: float
-    last_s: float = math.nan
+    last_s: float
     track_id: int = 0  # last one of the tracks of its object
     track_ids: set[int] = field(default_factory=set)
     distance_m: float = math.nan  # where the object was last in the condition
@@ -164,7 +164,6 @@ class _Open:
     last_seen: dict[str, float] = field(default_factory=dict)  # where the object of a near miss was last seen
     tet_s: float = 0.0
     tit_s2: float = 0.0
-    exposed_s: float = math.nan  # time of the last frame of TET and TIT
     paths: list[list[Place]] = field(default_factory=list)  # of its tracks
     peak_track_id: int = 0
     peak_class: int = 0
@@ -278,17 +277,16 @@ class EventFinder:
         group = int(SAME_OBJECT_GROUP[class_id])
         event = self._same(kind, track_id, result, distance_m, offset_m, group)
         if event is None:
-            event = _Open(kind, group, start_s=time_s, first=values)
+            event = _Open(kind, group, start_s=time_s, last_s=time_s, first=values)
             self._open.append(event)
+        if values["ttc_front_s"] < TTC_LIMIT_S:
+            dt = time_s - event.last_s  # 0 in the first frame
+            event.tet_s += dt
+            event.tit_s2 += dt * (TTC_LIMIT_S - values["ttc_front_s"])
         event.last_s, event.track_id, event.distance_m, event.offset_m = time_s, track_id, distance_m, offset_m
         if track_id not in event.track_ids:
             event.track_ids.add(track_id)
             event.paths += [self._paths[track_id]] if track_id in self._paths else []
-        if values["ttc_front_s"] < TTC_LIMIT_S:
-            dt = min(time_s - event.exposed_s, self.settings.max_gap_s) if math.isfinite(event.exposed_s) else 0.0
-            event.tet_s += dt
-            event.tit_s2 += dt * (TTC_LIMIT_S - values["ttc_front_s"])
-        event.exposed_s = time_s
         is_active = result.warnings is not None and bool(result.warnings.active[row])
         if is_active and kind in WARNING_KINDS and math.isnan(event.warning_s):
             event.warning_s = time_s

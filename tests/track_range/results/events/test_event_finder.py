@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -12,6 +12,8 @@ import pytest
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.warning.warnings import Warnings
+from track_range.ranging.world.ego_path import EgoPose
+from track_range.ranging.world.object_motion import ObjectMotion
 from track_range.results.events.event import EVENT_KINDS, Event, EventSettings
 from track_range.results.events.finder import EventFinder, events_of
 from track_range.stereo.geometry.frames import Frame
@@ -90,6 +92,32 @@ def test_alarm_is_an_event(class_id: int, kind: str) -> None:
     assert (event.closing_mps, event.ego_mps, event.probability) == (10.0, 10.0, 0.9)
     assert "contact in 2.5 s" in event.reason
     assert "closing at 10.0 m/s" in event.reason
+
+
+def test_measures_of_an_event() -> None:
+    """Extremes during the event, exposure from its first frame on, and the state at its peak, the last frame."""
+    (event,) = events_of(approach())
+    assert (event.gap_m, event.headway_s) == (pytest.approx(11.0), pytest.approx(1.1))
+    assert event.drac_mps2 == pytest.approx(10.0**2 / (2 * 11.0))
+    assert event.mdrac_mps2 == pytest.approx(10.0**2 / (2 * (11.0 - 10.0)))  # reaction time 1 s
+    assert event.tet_s == pytest.approx(1.4)
+    assert event.tit_s2 == pytest.approx(sum(0.1 * (3.0 - (40 - i) / 10) for i in range(16, 30)))
+    peak = (event.peak_distance_m, event.peak_closing_mps, event.peak_ttc_s, event.peak_headway_s)
+    assert (*peak, event.peak_probability) == pytest.approx((12.5, 10.0, 1.1, 1.1, 0.9))
+    assert math.isnan(event.pet_s)  # without a pose
+
+
+def test_pet_of_an_event_is_known_at_the_end() -> None:
+    """A person leaves the path of 2 x 1.2 m at 40 m after 2.6 s; the front is there after 3.85 s."""
+    finder, nan = EventFinder(), np.full(1, NAN)
+    for i in range(61):
+        person = Seen(distance_m=40.0 - min(i, 30), class_id=PERSON, closing_mps=10.0, active=5 <= i < 20)
+        motion = ObjectMotion(nan, nan, nan, np.array([40.0]), np.array([-4.0 + 0.2 * i]), nan)
+        pose = EgoPose(float(i), 0.0, 0.0, np.zeros((3, 3)))
+        for event in finder.update(replace(frame(i, person), motion=motion, ego_pose=pose)):
+            assert math.isnan(event.pet_s)  # the camera is not there yet
+    (event,) = finder.finish()
+    assert event.pet_s == pytest.approx(3.85 - 2.6, abs=0.11)
 
 
 def test_events_are_returned_once_they_ended() -> None:
