@@ -17,8 +17,6 @@ from itertools import chain
 from pathlib import Path
 from typing import ClassVar
 
-import numpy as np
-
 from track_range.detection.formats.image_labels.labelled_images import ImageFileError, images_in, read_image
 from track_range.foundation.arrays import Image
 from track_range.foundation.files.images import IMAGE_SUFFIXES
@@ -76,8 +74,12 @@ class ImageFiles:
             is_ambiguous = len({path.name for path in paths}) < len(paths)
             names = tuple(_name(path, with_folder=is_ambiguous) for path in paths)
             images = tuple(_readable(path) for path in paths)
-            if self.layout is not None:
-                names, images = names * 2, _halves(images[0], self.layout)
+            if (layout := self.layout) is not None:
+                halves = [
+                    image if image is None else image_half(layout, image, is_right=bool(side))
+                    for side, image in enumerate(images * 2)
+                ]
+                names, images = names * 2, tuple(halves)
             yield Shot(names, images)
 
 
@@ -142,8 +144,8 @@ def _layout(source: str, files: Sequence[Path], layout: LayoutOption) -> StereoL
     """The layout of images of two cameras in each; wide ones are beside each other, as few points of boards match."""
     if layout != "auto" and layout != "tracks":
         return layout
-    readable = (image for path in files[:_N_COMPARED] if layout == "auto" and (image := _readable(path)) is not None)
-    images = list(readable)
+    paths = files[:_N_COMPARED] if layout == "auto" else ()
+    images = [image for path in paths if (image := _readable(path)) is not None]
     if (matched := next(filter(None, (matching_halves([image]) for image in images)), None)) is not None:
         return matched.layout
     if images and images[0].shape[1] >= _MIN_ASPECT * images[0].shape[0]:
@@ -153,13 +155,6 @@ def _layout(source: str, files: Sequence[Path], layout: LayoutOption) -> StereoL
         "the right camera as well, or --stereo-layout side-by-side, right-left, top-bottom or bottom-top (Python: "
         "stereo_layout)."
     )
-
-
-def _halves(image: Image | None, layout: StereoLayout) -> tuple[Image | None, ...]:
-    """The images of the left and the right camera in one."""
-    if image is None:
-        return None, None
-    return tuple(np.ascontiguousarray(image_half(layout, image, is_right=is_right)) for is_right in (False, True))
 
 
 def _is_video(source: str) -> bool:

@@ -49,7 +49,7 @@ Bayer = Literal["rggb", "bggr", "gbrg", "grbg"]
 
 @dataclass(frozen=True, slots=True)
 class VideoTrack:
-    """One of several video tracks of the files of a recording, counted from 0 without cover art and previews."""
+    """One of several video tracks of the files of a recording, counted from 0 without cover art."""
 
     recording: Path | Segments
     number: int

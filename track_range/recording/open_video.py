@@ -36,12 +36,7 @@ def open_video(
     `folder_fps` is the frame rate of a folder without times, `bayer` the filter of its images. Raises VideoError if
     the path does not exist or is no video, nothing can be decoded, or the images are too small.
     """
-    if isinstance(name, Half):
-        if isinstance(name.recording, LiveAddress):
-            raise VideoError(f"{name}: expected a recording, found a live source.")
-        video: RecordedVideo = VideoHalf(_opened(name.recording, folder_fps, left, bayer), name)
-    else:
-        video = _opened(name, folder_fps, left, bayer)
+    video = _opened(name, folder_fps, left, bayer)
     if min(video.width_px, video.height_px) < _MIN_SIDE_PX:
         video.close()
         raise VideoError(
@@ -53,8 +48,12 @@ def open_video(
 
 
 def _opened(
-    named: Path | Segments | BagTopic | VideoTrack, folder_fps: float, left: RecordedVideo | None, bayer: Bayer | None
+    named: RecordedName | LiveAddress, folder_fps: float, left: RecordedVideo | None, bayer: Bayer | None
 ) -> RecordedVideo:
+    if isinstance(named, Half):
+        return VideoHalf(_opened(named.recording, folder_fps, left, bayer), named)
+    if isinstance(named, LiveAddress):
+        raise VideoError(f"{named}: expected a recording, found a live source.")
     name, track = (named.recording, named.number) if isinstance(named, VideoTrack) else (named, None)
     if isinstance(name, Path) and is_bag(name):
         name = BagTopic(name, None)

@@ -99,14 +99,11 @@ class RecordingCalibration:
 
     @property
     def focal_sigma(self) -> float:
-        """Relative standard deviation of the focal length, which all distances share; 0 = calibrated.
-
-        It covers the alternatives.
-        """
+        """Relative standard deviation of the focal length, which all distances share; 0 = without alternatives."""
         if self.focal is not None:
             return self.focal.sigma
-        shown = max((abs(1 - 1 / other.factor) for other in self.alternatives), default=0.0)
-        return math.hypot(shown, 0.0 if self.mounting is None else self.mounting.focal_sigma)
+        largest = max((abs(1 - 1 / other.factor) for other in self.alternatives), default=0.0)
+        return math.hypot(largest, 0.0 if self.mounting is None else self.mounting.focal_sigma)
 
     @property
     def camera_height_m(self) -> float | None:

@@ -10,8 +10,6 @@ from track_range.foundation.arrays import Image
 from track_range.foundation.files.input_files import counted
 
 _GAP_INTERVALS = 2.5  # time step, in frame intervals, above which a gap is reported; the jitter of phones is smaller
-
-
 _SAMPLE_STEP = 16  # pixels from one to the next in which images are compared
 _MAX_REPEATED = 0.02  # fraction of repeated images above which there is a note; a camera repeats single ones
 

@@ -136,7 +136,7 @@ def matching_halves(images: Sequence[Image]) -> FoundLayout | None:
         camera = PinholeCamera.of_focal_length(_FOCAL_PER_WIDTH * width_px, (width_px, height_px))
         evidence = PairEvidence(camera)
         for pair in halves:
-            evidence.add(*map(np.ascontiguousarray, pair))
+            evidence.add(*pair)
         figures = evidence.figures()
         fault, n_agreeing = find_fault(figures, StereoRig.rectified(camera, _BASELINE_M)).fault, len(figures.left_px)
         if fault in ("fits", "verged", "swapped") and n_agreeing >= _MIN_MATCHES * len(images):

@@ -1,6 +1,6 @@
 r"""SyncMonitor: checks during the whole run that left and right show the same moment, and corrects the pairing if not.
 
-    frame -> changes of both images -> one side repeats its image?   stereo of the frame is off
+    frame -> changes of both images -> one side repeats its image, or shows nothing?   stereo of the frame is off
           -> now and then, and where the changes differ: `measured_lag` -> lag of up to 5 frames?
           -> wait for `n_ahead` frames -> frame with the right image that shows its moment
 
