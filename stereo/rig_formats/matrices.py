@@ -149,16 +149,17 @@ def _completed(given: Quantities, path: Path, *, is_pair: bool) -> tuple[Quantit
         merged = given if other is None else given | read_quantities(other)
         if has_cameras or other is None or len(merged.sides()) == 2 or (partner := partner_of(other)) is None:
             return merged, [] if other is None else [other]
-        return given | read_quantities(other).of_one_side("left") | read_quantities(partner).of_one_side("right"), [
-            other,
-            partner,
-        ]
+        return given | _both(other, partner), [other, partner]
     if is_pair and is_single and not has_extrinsics and (partner := partner_of(path)) is not None:
         first, second = (partner, path) if is_second(path) else (path, partner)
-        both = read_quantities(first).of_one_side("left") | read_quantities(second).of_one_side("right")
+        both = _both(first, second)
         other = other_half(path, is_intrinsic=True)
         return (both, [partner]) if other is None else (both | read_quantities(other), [partner, other])
     return given, []
+
+
+def _both(left: Path, right: Path) -> Quantities:
+    return read_quantities(left).of_one_side("left") | read_quantities(right).of_one_side("right")
 
 
 def _parallel(
@@ -376,20 +377,26 @@ def _is_fisheye(given: Quantities, sides: list[Side], path: Path, notes: list[st
     return is_wide
 
 
-def _size(given: Quantities, side: Side, camera: PinholeCamera, path: Path) -> tuple[int, int]:
-    """(width, height) of the images; (0, 0) = not in the file."""
+def _stated_size(given: Quantities, side: Side, centre: FloatArray) -> FloatArray | None:
+    """(2,) width and height of the images, in the order that fits their principal point, (2,); None = not stated."""
     sides: list[Side] = [side, None] if side is not None else [None, *given.sides()]
     width, height, size = (
         next((given.values[place, name] for place in sides if (place, name) in given.values), None)
         for name in ("width", "height", "size")
     )
     if width is not None and height is not None:
-        size = np.array([width[0], height[0]])
-    elif size is None:
+        return np.array([width[0], height[0]])
+    if size is None:
+        return None
+    either = size[[0, 1]], size[[1, 0]]  # or rows and columns, as MATLAB's and NumPy's
+    return np.asarray(min(either, key=lambda size: float(np.abs(size / 2 - centre).sum())))
+
+
+def _size(given: Quantities, side: Side, camera: PinholeCamera, path: Path) -> tuple[int, int]:
+    """(width, height) of the images; (0, 0) = not in the file."""
+    size = _stated_size(given, side, np.array([camera.cx_px, camera.cy_px]))
+    if size is None:
         return 0, 0
-    else:  # or rows and columns, as MATLAB's and NumPy's
-        centre = np.array([camera.cx_px, camera.cy_px])
-        size = min(size[[0, 1]], size[[1, 0]], key=lambda either: float(np.abs(either / 2 - centre).sum()))
     if not ((size >= 1) & (size <= MAX_SIDE_PX)).all():
         raise RigError(
             f"{path}: expected an image_width and image_height of 1 to {MAX_SIDE_PX} px, found "
@@ -406,18 +413,15 @@ def _shaped(values: FloatArray, shape: tuple[int, ...], name: str, path: Path) -
 
 def camera_values(given: Quantities, number: int) -> dict[str, object]:
     """The values of the first or second camera by key of rig.yaml, those that could be read."""
-    sides = given.sides() or [None]
-    if number >= len(sides):
-        return {}
-    side, values = sides[number], dict[str, object]()
-    matrix = given.of(side, "K")
+    values: dict[str, object] = {}
+    if number >= len(sides := given.sides() or [None]):
+        return values
+    side, matrix = sides[number], given.of(sides[number], "K")
     focal = _of_scalars(given, side) if matrix is None else matrix[[0, 4, 2, 5]] if matrix.size == 9 else matrix
     if focal is not None:
-        values = dict(zip(("fx_px", "fy_px", "cx_px", "cy_px"), focal.tolist(), strict=False))
-    distortion, size = _distortion(given, side), given.of(side, "size")
-    width, height = given.of(side, "width"), given.of(side, "height")
-    if width is not None and height is not None:
-        size = np.array([width[0], height[0]])
+        values |= zip(("fx_px", "fy_px", "cx_px", "cy_px"), focal.tolist(), strict=False)
+    centre = np.zeros(2) if focal is None else focal[2:4]
+    distortion, size = _distortion(given, side), _stated_size(given, side, centre)
     if size is not None:
         values |= {"width_px": round(float(size[0])), "height_px": round(float(size[1]))}
     return values if distortion is None else values | {"distortion": distortion.tolist()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from pathlib import Path
 
@@ -161,19 +162,16 @@ def _read_folder(folder: Path, *, is_grey: bool) -> RigCalibration:
     if (rig := read_folder(folder)) is not None:
         return rig
     inside = [folder / name for name in ("mav0/cam0", "cam0", "left") if (folder / name).is_dir()]
-    single = []
+    n_single = 0
     for file in (file for place in (folder, *inside) for file in files_of(place)):
-        try:
-            rig_format, text = format_of(file)
-            calibration = (rig_format.read_pair or rig_format.read)(text, file, is_grey)
-        except RigError:
-            continue
-        if calibration.right is not None:
-            return calibration
-        single.append(file.name)
+        with contextlib.suppress(RigError):
+            calibration = read_calibration(file, is_grey=is_grey, is_pair=True)
+            if calibration.right is not None:
+                return calibration
+            n_single += 1
     raise RigError(
         f"{folder}: expected a folder with ROS's camera_info of two cameras in YAML, or a calibration of a pair, found "
-        f"{len(single)} calibrations of one camera; give a file."
+        f"{n_single} calibrations of one camera; give a file."
     )
 
 

@@ -73,8 +73,8 @@ _NAMES: dict[str, str] = {
     "model": "cameratype distortionmodel modeltype model cameramodel type",
 }
 _QUANTITY = {name: quantity for quantity, names in _NAMES.items() for name in names.split()}
-_SCALARS = "k1 k2 k3 k4 k5 k6 p1 p2 s1 s2 s3 s4 xi alpha".split()
-_OF_PAIR = "R_transposed second_from_first first_from_second baseline bf Q square unit fisheye inverse".split()
+_SCALARS = "k1 k2 k3 k4 k5 k6 p1 p2".split()
+_OF_PAIR = "R_transposed second_from_first first_from_second baseline bf Q square unit fisheye".split()
 _COUNTS = {  # possible numbers of values
     "K": (9, 4), "D": (0, 1, 2, 4, 5, 8, 12, 14), "radial": (2, 3), "tangential": (2,), "R": (9, 3),
     "R_transposed": (9,), "T": (3,), "rect": (9,), "P": (12, 9), "Q": (16,), "second_from_first": (16, 12),

@@ -122,6 +122,8 @@ def test_template(tmp_path, cli):
     assert (status, "11 blanks" in printed) == (0, True)
     with pytest.raises(RigError, match=r"left\.width_px"):
         load_calibration(out)
+    source.write_text('{"image_size": [480, 640], ' + source.read_text()[1:])  # rows and columns
+    assert "width_px: 640\n  height_px: 480" in cli("rig", "template", source)[1]
     source.write_text(KITTI)
     assert cli("rig", "template", source, "--out", out)[0] == 0
     text = out.read_text()
