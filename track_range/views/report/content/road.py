@@ -34,7 +34,7 @@ FILTERED_WINDOW_S = 0.5
 _MIN_POSITIONS = 4  # of a course
 
 _LATERAL_ACCELERATION_MPS2 = 0.25
-"""Standard deviation a of the lateral acceleration in m/s^2, as in `ranging`'s collision course."""
+"""Standard deviation a of the lateral acceleration in m/s^2; a lane change reaches twice as much."""
 
 _CENTRE_SIGMA_PX, _CENTRE_SIGMA_FRACTION = 1.0, 0.02
 """Standard deviation of a box centre: a constant in px, plus a fraction of the box width; as in `ranging`."""

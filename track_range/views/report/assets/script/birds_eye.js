@@ -1,6 +1,6 @@
 // Bird's-eye view: positions of the tracks to scale, with their uncertainty, their trails and their courses.
 
-const EGO_HALF_WIDTH_M = 0.9; // as in the collision course of the program
+const EGO_HALF_WIDTH_M = 0.9; // half of `WarningSettings.ego_width_m`
 const BEND_PRIOR_M4 = 3600; // (2 * 0.3 m / 0.01 per m)^2: noise of a position, and a usual curvature
 const TRAIL_S = 3, COURSE_S = 4;
 const TTC_AMBER_S = 4, TTC_RED_S = 2, AMBER_PROBABILITY = 0.25; // as in the overlay
