@@ -12,8 +12,8 @@ from track_range.ranging.ranges import Ranges
 CAR, PERSON, STEP_S, EGO_MPS = ROAD_CLASSES.index("car"), ROAD_CLASSES.index("person"), 0.1, 10.0
 
 
-def filtered(own_mps, *, size_error=0.0, noise=0.02, steps=25, seed=1, filters=None, **options):
-    """Filtered ranges of objects with these own speeds, 50 m away at the end; sizes are known to 8 %."""
+def filtered(own_mps, *, size_error=0.0, size_sigma=0.08, noise=0.02, steps=25, seed=1, filters=None, **options):
+    """Filtered ranges of objects with these own speeds, 50 m away at the end; sizes are known to `size_sigma`."""
     own_mps, rng = np.asarray(own_mps, float), np.random.default_rng(seed)
     ids = rng.integers(1, 10**9, len(own_mps))
     filters = filters or DistanceFilters({"a": 0.6})
@@ -21,7 +21,7 @@ def filtered(own_mps, *, size_error=0.0, noise=0.02, steps=25, seed=1, filters=N
     for k in range(steps):
         true_m = 50 + (own_mps - EGO_MPS) * STEP_S * (k + 1 - steps)
         z = true_m * (1 + size_error) * np.exp(noise * rng.normal(size=len(ids)))
-        measured = Ranges(ids, z, np.hypot(noise, 0.08) * z, 0.08 * z)
+        measured = Ranges(ids, z, np.hypot(noise, size_sigma) * z, size_sigma * z)
         given = {"ego_speed_mps": EGO_MPS, "class_id": np.full(len(ids), CAR), **options}
         result = filters.update({"a": measured}, start_s + k * STEP_S, **given)["a"]
     return result
@@ -77,7 +77,7 @@ def test_sigma_is_true_for_parked_and_moving_objects():
 
 
 def test_a_class_learns_how_it_moves():
-    """A prior of half a minute: after vehicles that all move, the next one is less likely static, and conversely."""
+    """After 30 s, against a prior of 10 s, the probability that a member of a class is static follows what was seen."""
     models = MotionModels()
     cars, people = np.array([CAR]), np.array([PERSON])
     before = models.prior(cars, True)[0, :, 0]
@@ -125,3 +125,17 @@ def test_rates_of_long_vehicles_are_less_certain():
     truck = filtered([6.0] * 8, class_id=np.full(8, ROAD_CLASSES.index("truck")), **moving)
     ratio = np.median(truck.rate_sigma_mps / car.rate_sigma_mps)
     assert 1.1 < ratio < 3.0
+
+
+def test_errors_of_sizes_change_on_the_way():
+    """An error of the size that changes with the distance looks like a speed, which a known size cannot."""
+    moving = {"may_be_static": np.zeros(8, np.bool_), "noise": 0.005}
+    known, unknown = (filtered([-4.0] * 8, size_sigma=sigma, **moving).state.P_vv for sigma in (1e-6, 0.08))
+    assert 2 < np.median(unknown / known) < 20
+
+
+@pytest.mark.parametrize("own_mps", [3.0, 6.0])
+def test_nothing_changes_to_a_static_model_that_follows_a_moving_object(own_mps):
+    result = filtered([own_mps] * 8, steps=120, noise=0.01)
+    assert (result.static < 0.02).all()
+    assert -result.rate_mps == pytest.approx(np.full(8, EGO_MPS - own_mps), abs=1.0)

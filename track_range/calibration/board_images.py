@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import glob
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -20,7 +20,7 @@ from typing import ClassVar
 from track_range.detection.formats.image_labels.labelled_images import ImageFileError, images_in, read_image
 from track_range.foundation.arrays import Image
 from track_range.foundation.files.images import IMAGE_SUFFIXES
-from track_range.recording.frame import TIME_EPSILON_S
+from track_range.recording.frame import TIME_EPSILON_S, VideoFrame
 from track_range.recording.names import LayoutOption, StereoLayout
 from track_range.recording.open_video import open_video
 from track_range.recording.pairs.packed_pair import PackedPair, pair_in
@@ -104,18 +104,13 @@ class VideoShots:
     def __iter__(self) -> Iterator[Shot]:
         """Shots at least one step apart, named by their times."""
         next_s = -float("inf")
-        for time_s, images in self._frames():
+        shots: Iterable[tuple[VideoFrame, ...]] = zip(self._first) if self._pair is None else self._pair
+        for frames in shots:
+            time_s = frames[0].time_s
             if time_s >= next_s - TIME_EPSILON_S:
                 next_s = time_s + self._step_s
-                yield Shot(tuple(f"{path.name} at {time_s:.2f} s" for path in self.files), images)
-
-    def _frames(self) -> Iterator[tuple[float, tuple[Image, ...]]]:
-        if self._pair is None:
-            for frame in self._first:
-                yield frame.time_s, (frame.image,)
-            return
-        for left, right in self._pair:
-            yield left.time_s, (left.image, right.image)
+                names = (f"{path.name} at {time_s:.2f} s" for path in self.files)
+                yield Shot(tuple(names), tuple(frame.image for frame in frames))
 
 
 BoardImages = ImageFiles | VideoShots  # source of shots, which can be iterated more than once

@@ -288,11 +288,7 @@ def _paired(left: Video, right: Video) -> RecordedPair | LivePair:
 
 
 def _named(
-    left: VideoName,
-    right: VideoName | None,
-    topics: Sequence[str],
-    track: int | None,
-    layout: LayoutOption | None,
+    left: VideoName, right: VideoName | None, topics: Sequence[str], track: int | None, layout: LayoutOption | None
 ) -> tuple[VideoName, VideoName | None]:
     """The names, bags with topics; raises VideoError if a video is no bag, or the number of topics does not fit."""
     if right == left and layout is not None and len(topics) < 2:

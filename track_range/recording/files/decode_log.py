@@ -21,6 +21,7 @@ class DecodeLog:
         n_used: frames passed on.
         n_damaged: frames skipped because they, or frames that they depend on, are damaged.
         n_backward: frames skipped because their timestamp equals or precedes the last one.
+        resets_s: times of the last frames before the clock of the file was set back.
         n_repeated: frames with exactly the image before, between others that differ.
     """
 
@@ -31,7 +32,7 @@ class DecodeLog:
         self.last_s: float | None = None  # time of the last decoded frame; None = none yet
         self.end_s = 0.0  # time at which that frame ends
         self.stopped_by = ""  # reason why reading stopped early; empty = it did not
-        self._resets_s: list[float] = []  # times of the last frames before the clock was set back
+        self.resets_s: list[float] = []
         self._n_gaps, self._longest_gap = 0, (0.0, 0.0)  # length and place, s
         self._stamps: list[int] = []  # heap of packet timestamps not yet passed by a frame
         self._n_passed = 0
@@ -49,10 +50,6 @@ class DecodeLog:
             heapq.heappush(self._stamps, stamp)
             if is_corrupt:
                 self._corrupt.add(stamp)
-
-    def reset(self, last_s: float) -> None:
-        """Register that the clock of the file was set back after a frame."""
-        self._resets_s.append(last_s)
 
     def frame_index(self, stamp: int | None) -> int:
         """Index of the frame with this timestamp, from 0; to be called once per frame in order of time.
@@ -100,10 +97,10 @@ class DecodeLog:
                 f"reading stopped after {counted(self.n_used, 'frame')}, at {self.end_s:.2f} s: the file is damaged or "
                 f"truncated there ({self.stopped_by})."
             )
-        if self._resets_s:
+        if self.resets_s:
             notes.append(
-                f"the clock was set back {counted(len(self._resets_s), 'time')}, first after "
-                f"{self._resets_s[0]:.2f} s, as in joined files: the frames follow on at the nominal frame rate."
+                f"the clock was set back {counted(len(self.resets_s), 'time')}, first after "
+                f"{self.resets_s[0]:.2f} s, as in joined files: the frames follow on at the nominal frame rate."
             )
         if self._n_gaps:
             notes.append(

@@ -375,7 +375,7 @@ class _Reading:
             self._shift = 0  # a single wrong time, or the clock continues
         elif last is not None and (stamp + self._shift - last) * tick_s < -_RESET_S:
             self._shift = last + round(1 / (self.fps * tick_s)) - stamp
-            self.log.reset(last * tick_s)
+            self.log.resets_s.append(last * tick_s)
         if self._shift:
             packet.dts = None if packet.dts is None else packet.dts + self._shift
             packet.pts = None if packet.pts is None else packet.pts + self._shift
@@ -421,8 +421,8 @@ def _open(path: Path) -> tuple[InputContainer, list[VideoStream]]:
     except (av.FFmpegError, ValueError, MemoryError) as error:
         raise VideoError(f"{path}: {_unreadable_reason(path)}") from error
     try:
-        tracks = [stream for stream in container.streams.video if not stream.disposition & _STILL]
-        tracks = [stream for stream in tracks if stream.codec_context is not None]  # can be decoded
+        videos = (stream for stream in container.streams.video if not stream.disposition & _STILL)
+        tracks = [stream for stream in videos if stream.codec_context is not None]  # can be decoded
         tracks = [stream for stream in tracks if stream.frames != 1] or tracks
         if not tracks:
             raise VideoError(f"{path}: contains no video; give a video file or a folder of numbered images.")
