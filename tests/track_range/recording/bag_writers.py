@@ -25,6 +25,10 @@ def jpeg(image: np.ndarray) -> bytes:
     return bytes(cv2.imencode(".png", image)[1])
 
 
+Images = Sequence[np.ndarray | tuple[np.ndarray, ...]]
+"""Images that all cameras show, or one image of each camera."""
+
+
 def cameras(names: Sequence[str]) -> list[tuple[str, float]]:
     """Topic prefix and offset of each camera."""
     return [(name, -0.5 * number) for number, name in enumerate(names)]
@@ -33,7 +37,7 @@ def cameras(names: Sequence[str]) -> list[tuple[str, float]]:
 def ros_messages(
     store: Any,
     names: Sequence[str],
-    images: Sequence[np.ndarray],
+    images: Images,
     *,
     topic: str,
     encoding: str = "",
@@ -45,11 +49,12 @@ def ros_messages(
         "std_msgs/msg/Header" in store.types and "seq" in store.types["std_msgs/msg/Header"].__dataclass_fields__,
     )
     messages = []
-    for number, image in enumerate(images):
+    for number, shown in enumerate(images):
         stamp_ns = START_NS + number * STEP_NS
         time = types["builtin_interfaces/msg/Time"](stamp_ns // 10**9, stamp_ns % 10**9)
         header = types["std_msgs/msg/Header"](*([number] if ros1 else []), time, "camera")
-        for name, offset_m in cameras(names):
+        for side, (name, offset_m) in enumerate(cameras(names)):
+            image = shown if isinstance(shown, np.ndarray) else shown[side]
             if encoding:
                 kind = "sensor_msgs/msg/Image"
                 rows = np.ascontiguousarray(image).reshape(image.shape[0], -1).view(np.uint8)
@@ -69,7 +74,7 @@ def ros_messages(
     return messages
 
 
-def write_ros2(path: Path, names: Sequence[str], images: Sequence[np.ndarray], *, storage: str, **options: Any) -> Path:
+def write_ros2(path: Path, names: Sequence[str], images: Images, *, storage: str, **options: Any) -> Path:
     """A ROS 2 bag folder written with rosbags; `storage` = sqlite3 or mcap."""
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
@@ -85,9 +90,7 @@ def write_ros2(path: Path, names: Sequence[str], images: Sequence[np.ndarray], *
     return path
 
 
-def write_ros1(
-    path: Path, names: Sequence[str], images: Sequence[np.ndarray], *, compression: str = "", **options: Any
-) -> Path:
+def write_ros1(path: Path, names: Sequence[str], images: Images, *, compression: str = "", **options: Any) -> Path:
     """A ROS 1 bag written with rosbags."""
     from rosbags.rosbag1 import Writer
     from rosbags.typesys import Stores, get_typestore
@@ -105,7 +108,7 @@ def write_ros1(
     return path
 
 
-def write_foxglove(path: Path, names: Sequence[str], images: Sequence[np.ndarray], **options: Any) -> Path:
+def write_foxglove(path: Path, names: Sequence[str], images: Images, **options: Any) -> Path:
     """An MCAP file with Foxglove's messages, encoded by foxglove-sdk and written with the library mcap."""
     from foxglove.messages import CameraCalibration, CompressedImage, RawImage, Timestamp
     from mcap.writer import Writer
@@ -123,10 +126,11 @@ def write_foxglove(path: Path, names: Sequence[str], images: Sequence[np.ndarray
                 channels[topic] = writer.register_channel(topic, "protobuf", schema_id)
             writer.add_message(channels[topic], time_ns, message.encode(), time_ns)
 
-        for number, image in enumerate(images):
+        for number, shown in enumerate(images):
             time_ns = START_NS + number * STEP_NS
             stamp = Timestamp(time_ns // 10**9, time_ns % 10**9)
-            for name, offset_m in cameras(names):
+            for side, (name, offset_m) in enumerate(cameras(names)):
+                image = shown if isinstance(shown, np.ndarray) else shown[side]
                 if is_raw:
                     sizes = {"width": image.shape[1], "height": image.shape[0], "step": 3 * image.shape[1]}
                     raw = RawImage(timestamp=stamp, encoding="bgr8", data=image.tobytes(), **sizes)

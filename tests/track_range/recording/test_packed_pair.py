@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import itertools
-import struct
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
 
-import av
 import cv2
 import numpy as np
 import pytest
 
+from tests.track_range.recording import recording_files
 from tests.track_range.recording.bag_writers import write_foxglove
 from tests.track_range.recording.live_servers import cameras
+from tests.track_range.recording.recording_files import PACKED, Pair, box, with_box, write_folder, write_video
 from track_range.foundation.errors import UsageError
 from track_range.recording.frame import VideoError
 from track_range.recording.names import Half, VideoTrack
@@ -29,15 +29,6 @@ from track_range.stereo.geometry.rig import RigError, StereoRig
 
 WIDTH_PX, HEIGHT_PX = 320, 160
 RIG = StereoRig.rectified(PinholeCamera(300.0, 300.0, 159.5, 79.5, WIDTH_PX, HEIGHT_PX), 0.5)
-
-Pack = Callable[[np.ndarray, np.ndarray], np.ndarray]
-
-PACKED: dict[str, Pack] = {
-    "side-by-side": lambda left, right: np.hstack((left, right)),
-    "right-left": lambda left, right: np.hstack((right, left)),
-    "top-bottom": lambda left, right: np.vstack((left, right)),
-    "bottom-top": lambda left, right: np.vstack((right, left)),
-}
 
 
 def road_images(sign: int, n: int = 3) -> list[np.ndarray]:
@@ -55,40 +46,8 @@ def road_images(sign: int, n: int = 3) -> list[np.ndarray]:
 LEFT, RIGHT = road_images(-1), road_images(1)
 
 
-def write_folder(folder: Path, images: Sequence[np.ndarray]) -> Path:
-    folder.mkdir()
-    for number, image in enumerate(images):
-        cv2.imwrite(str(folder / f"{number:06}.png"), image)
-    return folder
-
-
 def packed(layout: str, n: int = 3) -> list[np.ndarray]:
-    return [PACKED[layout](*pair) for pair in itertools.islice(zip(LEFT, RIGHT, strict=True), n)]
-
-
-def write_video(
-    path: Path,
-    tracks: Sequence[Sequence[np.ndarray]],
-    *,
-    stereo_mode: str = "",
-    options: dict[str, str] | None = None,
-) -> Path:
-    with av.open(str(path), "w") as container:
-        streams = []
-        for images in tracks:
-            stream = container.add_stream("libx264", rate=10, options={"crf": "0", **(options or {})})
-            stream.height, stream.width = images[0].shape[:2]
-            stream.pix_fmt = "yuv444p"
-            if stereo_mode:
-                stream.metadata["stereo_mode"] = stereo_mode
-            streams.append(stream)
-        for images in itertools.zip_longest(*tracks):
-            for stream, image in zip(streams, images, strict=True):
-                if image is not None:
-                    container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="bgr24")))
-        for stream in streams:
-            container.mux(stream.encode())
-    return path
+    return recording_files.packed(layout, Pair(LEFT[:n], RIGHT[:n]))
 
 
 def frames_of(*names: object, **options: object) -> list[Frame]:
@@ -202,24 +161,6 @@ def test_stated_layouts(tmp_path: Path, name: str, stereo_mode: str, options: di
     assert recording.videos[0].path.layout == layout
     assert any("states" in note for note in recording.notes)
     recording.close()
-
-
-def box(kind: bytes, content: bytes) -> bytes:
-    return struct.pack(">I4s", 8 + len(content), kind) + content
-
-
-def with_box(path: Path, added: bytes) -> Path:
-    """Add a box to the description of the video track of an MP4 file whose index is at its end."""
-    content = path.read_bytes()
-    moov = content.index(b"moov")
-    at = content.index(b"avc1", content.index(b"stsd", moov)) - 4
-    end = at + struct.unpack_from(">I", content, at)[0]
-    grown = bytearray(content[:end] + added + content[end:])
-    for name in (b"moov", b"trak", b"mdia", b"minf", b"stbl", b"stsd", b"avc1"):
-        size_at = content.index(name, moov) - 4
-        struct.pack_into(">I", grown, size_at, struct.unpack_from(">I", grown, size_at)[0] + len(added))
-    path.write_bytes(grown)
-    return path
 
 
 @pytest.mark.parametrize(

@@ -51,6 +51,7 @@ _MAX_SHIFT_PX = 4  # largest displacement of these, a disparity of an eighth of 
 _MIN_CORRELATION = 0.7  # smallest one of left and right images
 _N_FRAMES, _FRAME_STEP = 3, 10  # number of frames that are matched, and from one to the next
 _FOCAL_PER_WIDTH, _BASELINE_M = 0.8, 0.12  # of the camera that is assumed for matching
+_MIN_PARALLAX_PX = 3.0  # smallest median disparity of a pair whose order it shows
 _MIN_MATCHES = 60  # smallest number of matches per frame in equal rows of left and right
 
 
@@ -139,6 +140,9 @@ def matching_halves(images: Sequence[Image]) -> FoundLayout | None:
             evidence.add(*pair)
         figures = evidence.figures()
         fault, n_agreeing = find_fault(figures, StereoRig.rectified(camera, _BASELINE_M)).fault, len(figures.left_px)
+        if fault == "refused" and figures.arrangement == "equal" and n_agreeing:  # the order of the halves is in doubt
+            median_px = float(np.median(figures.disparity_px))
+            fault = "unknown" if abs(median_px) < _MIN_PARALLAX_PX else "swapped" if median_px < 0 else "fits"
         if fault in ("fits", "verged", "swapped") and n_agreeing >= _MIN_MATCHES * len(images):
             share = f"{n_agreeing} of {figures.n_matches} matching points of both halves are in equal rows"
             return FoundLayout(reversed_layout if fault == "swapped" else layout, share)
