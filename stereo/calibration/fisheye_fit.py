@@ -24,7 +24,7 @@ from track_range.stereo.calibration.board_views import BoardView
 from track_range.stereo.calibration.boards import CalibrationError
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.lenses import KANNALA_BRANDT, distorted_angle
-from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.geometry.rig import StereoRig, rigid_motion
 
 Residuals = Callable[[FloatArray, FloatArray], FloatArray]
 """(R,) residuals of common parameters (C,) and of the views' parameters (V, P), ordered by view."""
@@ -95,10 +95,8 @@ def board_pose(camera: PinholeCamera, view: BoardView) -> FloatArray:
     scale = 2.0 / np.linalg.norm(axes, axis=0).sum()
     first, second = axes.T * scale
     u, _, vt = np.linalg.svd(np.stack([first, second, np.cross(first, second)], axis=1))
-    pose = np.eye(4)
-    pose[:3, :3] = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    pose[:3, 3] = homography[:, 2] * scale - pose[:3, :2] @ centre_m
-    return pose
+    rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    return rigid_motion(rotation, homography[:, 2] * scale - rotation[:, :2] @ centre_m)
 
 
 def _initial_cameras(views: Sequence[BoardView]) -> list[PinholeCamera]:

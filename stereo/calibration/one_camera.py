@@ -29,6 +29,7 @@ from track_range.stereo.calibration.coverage import Coverage, coverage_of, is_st
 from track_range.stereo.calibration.fisheye_fit import UNDETERMINED, fit_fisheye
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.lenses import PINHOLE
+from track_range.stereo.geometry.rig import rigid_motion
 
 Advance = Callable[[int, int], None]  # progress callback: number of finished steps, and the total
 T = TypeVar("T")
@@ -251,7 +252,4 @@ def intrinsics(camera: PinholeCamera) -> FloatArray:
 
 def pose_of(rvec: npt.ArrayLike, tvec: npt.ArrayLike) -> FloatArray:
     """(4, 4) rigid transform with OpenCV's rotation vector and translation."""
-    pose = np.eye(4)
-    pose[:3, :3] = cv2.Rodrigues(np.asarray(rvec, np.float64))[0]
-    pose[:3, 3] = np.asarray(tvec, np.float64).ravel()
-    return pose
+    return rigid_motion(cv2.Rodrigues(np.asarray(rvec, np.float64))[0], tvec)

@@ -50,7 +50,7 @@ from track_range.stereo.geometry.rectification import (
     rotation_angle_rad,
     stereo_rectification,
 )
-from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.geometry.rig import RigError, StereoRig, rigid_motion
 from track_range.stereo.geometry.rig_checks import BASELINE_M
 
 ViewPair = tuple[BoardView, BoardView]  # views of the left and the right camera with the same corners
@@ -191,11 +191,9 @@ def _fitted_pinholes(pairs: Sequence[ViewPair], models: Models) -> tuple[StereoR
             flags=cv2.CALIB_USE_INTRINSIC_GUESS | DISTORTION_FLAGS[n_distortion_coefficients], criteria=_CRITERIA
         )
     )  # fmt: skip
-    right_from_left = np.eye(4)
-    right_from_left[:3, :3], right_from_left[:3, 3] = r, np.asarray(t).ravel()
     left = camera_of(m1, d1, pairs[0][0].size_px, n_distortion_coefficients)
     right = camera_of(m2, d2, pairs[0][1].size_px, n_distortion_coefficients)
-    return StereoRig(left, right, right_from_left), np.stack(list(map(pose_of, rvecs, tvecs)))
+    return StereoRig(left, right, rigid_motion(r, t)), np.stack(list(map(pose_of, rvecs, tvecs)))
 
 
 def _camera_calibration(camera: PinholeCamera, fits: Sequence[ViewFit], std: FloatArray) -> CameraCalibration:

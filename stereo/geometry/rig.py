@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray, check_shape
 from track_range.foundation.errors import UserError
@@ -21,12 +22,16 @@ class RigError(UserError):
     """A rig or calibration file that cannot be used; the message gives the reason and what to do."""
 
 
+def rigid_motion(rotation: npt.ArrayLike, translation: npt.ArrayLike) -> FloatArray:
+    """(4, 4) transform x -> R x + t of a (3, 3) rotation R and a translation t of 3 numbers, in its unit."""
+    motion = np.eye(4)
+    motion[:3, :3], motion[:3, 3] = rotation, np.ravel(translation)
+    return motion
+
+
 def inverse_motion(motion: FloatArray) -> FloatArray:
     """(4, 4) inverse of a rigid transform by its transpose, also of a rotation that has few digits in a file."""
-    inverse = np.eye(4)
-    inverse[:3, :3] = motion[:3, :3].T
-    inverse[:3, 3] = -motion[:3, :3].T @ motion[:3, 3]
-    return inverse
+    return rigid_motion(motion[:3, :3].T, -motion[:3, :3].T @ motion[:3, 3])
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,9 +58,7 @@ class StereoRig:
     @classmethod
     def rectified(cls, camera: PinholeCamera, baseline_m: float) -> StereoRig:
         """A rig of two equal, parallel cameras side by side, without distortion."""
-        right_from_left = np.eye(4)
-        right_from_left[0, 3] = -baseline_m
-        return cls(camera, camera, right_from_left)
+        return cls(camera, camera, rigid_motion(np.eye(3), [-baseline_m, 0.0, 0.0]))
 
     @property
     def baseline_m(self) -> float:
@@ -66,8 +69,7 @@ class StereoRig:
     @property
     def is_rectified(self) -> bool:
         """Whether corresponding points already have equal rows in both images."""
-        translation = np.eye(4)
-        translation[0, 3] = self.right_from_left[0, 3]
+        translation = rigid_motion(np.eye(3), [self.right_from_left[0, 3], 0.0, 0.0])
         return (
             not (self.left.is_distorted or self.right.is_distorted)
             and self.left.has_square_pixels

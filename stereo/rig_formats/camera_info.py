@@ -16,7 +16,7 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import quoted
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.lenses import KANNALA_BRANDT, PINHOLE
-from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.geometry.rig import RigError, StereoRig, rigid_motion
 from track_range.stereo.geometry.rig_checks import NO_VERTICAL_PAIRS
 
 _MODELS = ("", "plumb_bob", "rational_polynomial", "pinhole", "none")  # distortion models that are OpenCV's
@@ -86,13 +86,10 @@ def rig_of(left: CameraInfo, right: CameraInfo, path: Path, *, is_rectified: boo
             f"{left_focal_px[0]:.6g} and {right_focal_px[0]:.6g} px, rows {left_row_px:.6g} and {right_row_px:.6g}; "
             "give a rig.yaml."
         )
-    right_from_left = np.eye(4)
-    right_from_left[0, 3] = offset_m
-    if not is_rectified:
-        right_from_left[:3, :3] = right.r.T @ left.r
-        right_from_left[:3, 3] = right.r.T @ np.array([offset_m, 0.0, 0.0])
+    r1, r2 = (np.eye(3), np.eye(3)) if is_rectified else (left.r, right.r)
     cameras = [camera_of(message, path, is_rectified=is_rectified) for message in (left, right)]
-    return StereoRig(cameras[0], cameras[1], right_from_left)
+    motion = rigid_motion(r2.T @ r1, r2.T @ [offset_m, 0.0, 0.0])
+    return StereoRig(cameras[0], cameras[1], motion)
 
 
 def is_undistorted(message: CameraInfo) -> bool:

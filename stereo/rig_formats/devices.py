@@ -33,7 +33,7 @@ from track_range.foundation.files.structured_text import parse_json
 from track_range.foundation.validation import Integer, Number, validated
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.lenses import KANNALA_BRANDT, PINHOLE
-from track_range.stereo.geometry.rig import RigError, inverse_motion
+from track_range.stereo.geometry.rig import RigError, inverse_motion, rigid_motion
 from track_range.stereo.geometry.rig_checks import RigCalibration
 from track_range.stereo.rig_formats.rig_format import format_by_pattern
 from track_range.stereo.rig_formats.values.containers import plain_values
@@ -94,9 +94,9 @@ def _zed_mode(values: Mapping[str, Mapping[str, float]], mode: str, path: Path) 
         if name.endswith(f"_{mode.lower()}")
     }
     convergence = stereo["cv"] or stereo["ry"] or stereo["convergence"]
-    motion, baseline = np.eye(4), stereo["baseline"]
-    motion[:3, :3] = cv2.Rodrigues(np.array([stereo["rx"], convergence, stereo["rz"]]))[0]
-    motion[:3, 3] = -np.array([baseline, stereo["ty"], stereo["tz"]]) * math.copysign(0.001, baseline) + 0.0
+    rotation = cv2.Rodrigues(np.array([stereo["rx"], convergence, stereo["rz"]]))[0]
+    position_mm = np.array([stereo[name] for name in ("baseline", "ty", "tz")])
+    motion = rigid_motion(rotation, -position_mm * math.copysign(0.001, stereo["baseline"]) + 0.0)
     return RigCalibration(cameras[0], cameras[1], motion, metres_per_unit=0.001)
 
 
@@ -160,9 +160,9 @@ def _read_oak(text: str, path: Path) -> RigCalibration:
             cameras[socket] = validated(_OakCamera, camera, f"{path}: cameraData {socket}", RigError)
     pair = file.stereoRectificationData
     left, right = pair.leftCameraSocket, pair.rightCameraSocket
-    if left not in cameras or right not in cameras:
+    if not {left, right} <= cameras.keys():
         left, right = 1, 2
-    if left not in cameras or right not in cameras:
+    if not {left, right} <= cameras.keys():
         sockets = ", ".join(map(str, cameras)) or "none"
         if len(cameras) == 1:
             note = f"{path}: {_OAK_TITLE} of one camera, socket {sockets}."
@@ -209,9 +209,8 @@ def _route(cameras: Mapping[int, _OakCamera], start: int, goal: int, translation
     for socket, camera in cameras.items():
         extrinsics, to = camera.extrinsics, camera.extrinsics.toCameraSocket
         if to in cameras and len(extrinsics.rotationMatrix) == 3:
-            motion, point = np.eye(4), getattr(extrinsics, translation)
-            motion[:3, :3] = extrinsics.rotationMatrix
-            motion[:3, 3] = np.array([point.x, point.y, point.z]) * _OAK_UNITS_M.get(extrinsics.lengthUnit, 0.01)
+            point, metres = getattr(extrinsics, translation), _OAK_UNITS_M.get(extrinsics.lengthUnit, 0.01)
+            motion = rigid_motion(extrinsics.rotationMatrix, np.array([point.x, point.y, point.z]) * metres)
             steps.setdefault((socket, to), motion)
             steps.setdefault((to, socket), inverse_motion(motion))
     routes = {start: np.eye(4)}
@@ -243,8 +242,7 @@ def _read_realsense(text: str, path: Path) -> RigCalibration:
     for match in _RS_EXTRINSIC.finditer(text):
         rotation, translation = _rs_numbers(match["rotation"]), _rs_numbers(match["translation"])
         if len(rotation) == 9 and len(translation) == 3:
-            motion = np.eye(4)
-            motion[:3, :3], motion[:3, 3] = np.reshape(rotation, (3, 3)), translation
+            motion = rigid_motion(np.reshape(rotation, (3, 3)), translation)
             streams = match["first"].strip(), match["second"].strip()
             motions[streams] = motion
             motions.setdefault(streams[::-1], inverse_motion(motion))

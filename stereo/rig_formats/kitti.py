@@ -24,7 +24,7 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import quoted
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.rig import RigError, inverse_motion
+from track_range.stereo.geometry.rig import RigError, inverse_motion, rigid_motion
 from track_range.stereo.geometry.rig_checks import BASELINE_M, MAX_SIDE_PX, NO_VERTICAL_PAIRS, RigCalibration
 from track_range.stereo.rig_formats.rig_format import RigFormat
 
@@ -126,9 +126,8 @@ def _calibration(
     x, y = (abs(float(p_left[row, 3] / p_left[row, row] - p_right[row, 3] / p_right[row, row])) for row in (0, 1))
     if y > max(x, BASELINE_M[0]):
         raise RigError(f"{source}: expected cameras side by side, found one above the other; {NO_VERTICAL_PAIRS}.")
-    right_from_left = np.eye(4)
-    right_from_left[0, 3] = (p_right[0, 3] * (p_left[0, 0] / p_right[0, 0]) - p_left[0, 3]) / left.fx_px
-    return RigCalibration(left, others[0], right_from_left, (x_m, y_m, z_m), notes)
+    offset_m = (p_right[0, 3] * (p_left[0, 0] / p_right[0, 0]) - p_left[0, 3]) / left.fx_px
+    return RigCalibration(left, others[0], rigid_motion(np.eye(3), [offset_m, 0.0, 0.0]), (x_m, y_m, z_m), notes)
 
 
 def _unrectified(text: str, source: object, pair: tuple[int, int], notes: tuple[str, ...]) -> RigCalibration | None:
@@ -151,7 +150,7 @@ def _unrectified(text: str, source: object, pair: tuple[int, int], notes: tuple[
             break
         k, distortion, r, t = (values[name] for name in names)
         cameras.append(PinholeCamera.of_matrix(k.reshape(3, 3), sizes[f"S_{number:02d}"], distortion))
-        motions.append(np.vstack([np.column_stack([r.reshape(3, 3), t]), [0.0, 0.0, 0.0, 1.0]]))
+        motions.append(rigid_motion(r.reshape(3, 3), t))
     if not cameras:
         return None
     left, right = pair

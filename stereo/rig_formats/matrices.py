@@ -25,7 +25,7 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.input_files import quoted, shortened
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.lenses import KANNALA_BRANDT, PINHOLE
-from track_range.stereo.geometry.rig import RigError, inverse_motion
+from track_range.stereo.geometry.rig import RigError, inverse_motion, rigid_motion
 from track_range.stereo.geometry.rig_checks import MAX_SIDE_PX, RigCalibration
 from track_range.stereo.rig_formats.rig_format import format_by_pattern
 from track_range.stereo.rig_formats.values.containers import (
@@ -173,8 +173,7 @@ def _parallel(
 ) -> RigCalibration:
     """The pair of two parallel cameras; `offset` = -B in the unit of the file."""
     metres, reason = _unit(kind, given, abs(offset))
-    motion = np.eye(4)
-    motion[0, 3] = offset * metres
+    motion = rigid_motion(np.eye(3), [offset * metres, 0.0, 0.0])
     note = f"{note}: the baseline is {abs(offset) * metres:.5g} m, {reason}; {images}."
     return RigCalibration(cameras[0], cameras[1], motion, notes=(note, *notes), metres_per_unit=metres)
 
@@ -192,10 +191,9 @@ def _offset(first: FloatArray, second: FloatArray) -> float:
 
 def _motion(given: Quantities, pair: Pair, path: Path, notes: list[str]) -> FloatArray:
     """(4, 4) transform from the first camera's frame to the second's, in the unit of the file."""
-    motion = np.eye(4)
     for quantity in ("second_from_first", "first_from_second"):
         if (numbers := given.of(None, quantity)) is not None:
-            motion[:3] = numbers.reshape(-1, 4)[:3]
+            motion = rigid_motion(*np.split(numbers.reshape(-1, 4)[:3], [3], axis=1))
             return motion if quantity == "second_from_first" else inverse_motion(motion)
     if (None, "T") not in given.values:
         if (pair[1], "T") in given.values:  # a pose of each camera
@@ -204,9 +202,8 @@ def _motion(given: Quantities, pair: Pair, path: Path, notes: list[str]) -> Floa
         projections, rotations = _projections(given, pair), [given.of(side, "rect") for side in pair]
         if projections is not None and all(rotation is not None for rotation in rotations):
             r1, r2 = (rotation.reshape(3, 3) for rotation in rotations)
-            motion[:3, :3], motion[:3, 3] = r2.T @ r1, r2.T @ np.array([_offset(*projections), 0.0, 0.0])
             notes.append(f"{path}: R and T by R1, R2, P1 and P2.")
-            return motion
+            return rigid_motion(r2.T @ r1, r2.T @ [_offset(*projections), 0.0, 0.0])
     of_second = {"M2": ("K", "fx"), "D2": ("D", "radial", "k1")}
     missing = [name for name, keys in of_second.items() if not any((pair[1], key) in given.values for key in keys)]
     missing += [name for name in ("R", "T") if given.of(None, name) is None]
@@ -226,16 +223,11 @@ def _incomplete(given: Quantities, missing: list[str], path: Path) -> RigError:
 
 def _pose(given: Quantities, side: Side, path: Path) -> FloatArray:
     """(4, 4) transform of R and T of a side; the identity for a camera without."""
-    motion = np.eye(4)
-    rotation, translation = (given.values.get((side, quantity)) for quantity in ("R", "T"))
+    rotation, translation = given.values.get((side, "R")), given.values.get((side, "T"), np.zeros(3))
     if rotation is None:
-        rotation = given.values.get((side, "rect"))
-    if rotation is not None:
-        rotation = rotation if rotation.size != 3 else np.asarray(cv2.Rodrigues(rotation)[0])
-        motion[:3, :3] = _shaped(rotation, (3, 3), "R", path)
-    if translation is not None:
-        motion[:3, 3] = _shaped(translation, (3,), "T", path)
-    return motion
+        rotation = given.values.get((side, "rect"), np.eye(3))
+    rotation = rotation if rotation.size != 3 else np.asarray(cv2.Rodrigues(rotation)[0])
+    return rigid_motion(_shaped(rotation, (3, 3), "R", path), _shaped(translation, (3,), "T", path))
 
 
 def _contradictions(given: Quantities, pair: Pair, motion: FloatArray, path: Path, notes: list[str]) -> None:
@@ -292,13 +284,8 @@ def _unit(kind: Kind, given: Quantities, length: float) -> tuple[float, str]:
 def _camera(kind: Kind, given: Quantities, side: Side, number: str, path: Path, *, is_fisheye: bool) -> PinholeCamera:
     name, matrix = given.names.get((side, "K"), f"M{number}"), given.of(side, "K")
     matrix = _of_scalars(given, side) if matrix is None else matrix
-    if matrix is None and number == "2":
-        raise _incomplete(given, ["M2"], path)
     if matrix is None:
-        raise RigError(
-            f"{path}: expected the matrix M1 in this file or in an intrinsics file in its folder, found none; give "
-            f"stereo_calib's intrinsics.yml (keys found: {_listed(given.keys)})."
-        )
+        raise _incomplete(given, [f"M{number}"], path)
     if matrix.size == 4:
         matrix = np.array([matrix[0], 0, matrix[2], 0, matrix[1], matrix[3], 0, 0, 1])
     matrix = _shaped(matrix, (3, 3), name, path)

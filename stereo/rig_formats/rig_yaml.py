@@ -20,14 +20,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.structured_text import parse_yaml, yaml_text
 from track_range.foundation.validation import Number, PositiveNumber, Version1, validated
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.rig import Mounting, RigError, StereoRig
+from track_range.stereo.geometry.rig import Mounting, RigError, StereoRig, rigid_motion
 from track_range.stereo.geometry.rig_checks import ImageSide, RigCalibration, check_camera, check_rig
 from track_range.stereo.rig_formats.rig_format import RigFormat, write_rig_text
 
@@ -57,11 +55,6 @@ class _MotionFile(BaseModel):
     model_config = _Strict
     rotation: Annotated[list[_Row], Field(min_length=3, max_length=3)]
     translation_m: _Row
-
-    def matrix(self) -> FloatArray:
-        motion = np.eye(4)
-        motion[:3, :3], motion[:3, 3] = self.rotation, self.translation_m
-        return motion
 
 
 class _MountingFile(BaseModel):
@@ -132,7 +125,8 @@ def _read(text: str, path: Path, _is_grey: bool) -> RigCalibration:
         mounting = None if rig.mounting is None else Mounting(**rig.mounting.model_dump())
         notes = () if mounting is None else (mounting.sentence,)
         return RigCalibration(left, None, None, mounting=mounting, notes=notes)
-    return RigCalibration(left, rig.right.camera(), rig.right_from_left.matrix())
+    motion = rig.right_from_left
+    return RigCalibration(left, rig.right.camera(), rigid_motion(motion.rotation, motion.translation_m))
 
 
 RIG_YAML = RigFormat(
