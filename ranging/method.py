@@ -19,8 +19,8 @@ from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import FloatArray32
 from track_range.foundation.errors import UserError
 from track_range.ranging.ranges import Ranges
-from track_range.ranging.region import Region
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
+from track_range.ranging.size_models.region import Region
 from track_range.ranging.size_models.size_model import SizeModel
 from track_range.stereo.alignment.model import Alignment, AlignmentSource
 from track_range.stereo.geometry.camera import PinholeCamera

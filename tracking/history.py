@@ -148,10 +148,8 @@ def predict_missing(
 ) -> tuple[IntArray, FloatArray]:
     """Row numbers (M,) of the N missing tracks that can be predicted at `time_s`, and their boxes (M, 4).
 
-    Args:
-        border_xyxy_px: (4,) outer edges of the image, or the extent of all boxes so far; None = unknown, so that boxes
-            that leave the image are predicted for a while.
-        others_xyxy_px: (K, 4) detected boxes of this frame, which may occlude a missing one; None = none.
+    The border (4,) has the outer edges of the image, or of all boxes so far; without it, boxes that leave the image are
+    predicted for a while. `others_xyxy_px` (K, 4) are detected boxes of this frame, which may occlude a missing one.
     """
     is_recent = time_s - history.last_s <= gates.max_missing_s
     rows = (is_recent & (history.hit_streak >= gates.min_hit_streak)).nonzero()[0]

@@ -22,13 +22,13 @@ from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.stages import Detected, DetectionStage, EgoStage, RangingStage
 from track_range.pipeline.throughput import StageClock
-from track_range.ranging.ego_speed import EgoSpeed
 from track_range.ranging.method import MethodContext, Ranger
 from track_range.ranging.methods.patch_stereo import STEREO
 from track_range.ranging.methods.size_regression import MONO
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.warning.collision_warning import CollisionWarning
+from track_range.ranging.world.ego_speed import EgoSpeed
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.image_motion import ImageMotion, ImageMotionEstimator

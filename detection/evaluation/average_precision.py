@@ -80,18 +80,12 @@ def evaluate_detections(
     min_boxes: int = MIN_BOXES,
     min_height_px: float = 0.0,
 ) -> DetectionScores:
-    """Scores of one detector on labelled images.
+    """Scores of one detector on labelled images, from the detections of each, down to very low scores.
 
-    Args:
-        detections: the detections of each image, down to very low scores; detections below the detector's threshold
-            are missing at the high-recall end of the precision-recall curve.
-        truth: the labels of each image, in the same order.
-        working_score: (8,) score threshold by road class at which precision and recall are computed.
-        known_class_id: road classes that the detector has a name for; the others are excluded from the mean.
-        min_boxes: classes with fewer labels are excluded from the mean.
-        min_height_px: labels below this height are ignored, and so are unmatched detections below it (KITTI's rule).
-
-    Raises ValueError: `detections` and `truth` differ in length.
+    Precision and recall are at the thresholds `working_score` (8,) by road class. Classes without a name of the
+    detector (`known_class_id`) or with fewer labels than `min_boxes` are excluded from the mean. Labels below
+    `min_height_px` are ignored, and so are unmatched detections (KITTI's rule). Raises ValueError if `detections` and
+    `truth` differ in length.
     """
     by_class = {}
     for class_id in range(len(ROAD_CLASSES)):

@@ -78,16 +78,11 @@ def read_detections(
     form: DetectionFormat | None = None,
     size_px: tuple[int, int] | None = None,
 ) -> RecordedDetections:
-    """The detections in a file, or in a folder of KITTI object files or YOLO labels.
+    """The detections in a file, or in a folder of KITTI object files or YOLO labels; an empty file has no boxes.
 
-    Args:
-        path: the file or folder.
-        default_class_id: class of every box if the format has no classes (MOTChallenge and plain rows).
-        form: the expected format; None = any.
-        size_px: (width, height) of the images, which YOLO labels need; None = unknown.
-
-    Raises LabelFileError: the file cannot be read, or its format is unknown or not `form`. An empty file is no error:
-    it has no boxes.
+    `default_class_id` is the class of boxes in formats without classes (MOTChallenge and plain rows), `form` the
+    expected format (None = any), `size_px` (width, height) of the images, which YOLO labels need. Raises LabelFileError
+    if the file cannot be read, or its format is unknown or not `form`.
     """
     if is_blank(path, "detections") and not _text(path).strip():
         notes = [f"Read {path.name} as an empty file: 0 boxes.", f"{path.name} is empty: there are no boxes."]

@@ -77,11 +77,7 @@ def decode_rows(output: int, outputs: Sequence[FloatArray32], min_score: FloatAr
 
 
 def decode_grid_rows(
-    output: int,
-    cell_xy: FloatArray,
-    stride_px: FloatArray,
-    outputs: Sequence[FloatArray32],
-    min_score: FloatArray,
+    output: int, cell_xy: FloatArray, stride_px: FloatArray, outputs: Sequence[FloatArray32], min_score: FloatArray
 ) -> Candidates:
     """Candidates of YOLOX's output [1, N, 5 + C]: offset from the cell in cells, log size in strides, scores.
 

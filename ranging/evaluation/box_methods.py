@@ -24,11 +24,11 @@ from track_range.ranging.fitting.prior_fit import fit_size_priors
 from track_range.ranging.fusion.fusion import Fusion
 from track_range.ranging.method import MethodContext, Ranger, RangingMethod, checked_ranges
 from track_range.ranging.ranges import Ranges
-from track_range.ranging.region import Region
 from track_range.ranging.registry import create_rangers, methods
 from track_range.ranging.size_models.curve import CurveError, load_curves
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.ranging.size_models.plain_curves import PLAIN_CURVES, CurveFitter
+from track_range.ranging.size_models.region import Region
 from track_range.ranging.size_models.regions import in_region
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, SizeModel
 from track_range.stereo.geometry.frames import Frame

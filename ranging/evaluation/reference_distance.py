@@ -38,10 +38,8 @@ def surface_distance_m(
 ) -> FloatArray:
     """(N,) z at which each ray from the camera first meets its box; NaN = it misses the box, or starts inside it.
 
-    Args:
-        rays: (N, 3) directions with z = 1, so that the parameter of a ray is the depth.
-        location_m: (N, 3) bottom centre of each box in the camera's frame.
-        size_hwl_m, rotation_y_rad: (N, 3) height, width, length; (N,) yaw.
+    The rays (N, 3) have z = 1, so that their parameter is the depth. Boxes: bottom centre (N, 3) in the camera's frame,
+    height, width and length (N, 3), yaw (N,).
     """
     origin = _in_box_axes(-location_m, rotation_y_rad)
     direction = _in_box_axes(rays, rotation_y_rad)

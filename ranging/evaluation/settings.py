@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from track_range.foundation.options import Options, option
 from track_range.ranging.evaluation.reference_distance import ReferenceName
-from track_range.ranging.region import Region
+from track_range.ranging.size_models.region import Region
 
 BoxesField = Annotated[
     str,

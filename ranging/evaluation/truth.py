@@ -76,15 +76,11 @@ class Truth:
 
 
 def read_truth(path: Path, camera: PinholeCamera, left_from_reference_m: FloatArray) -> Truth:
-    """Ground truth for the left `camera` from labels in any format, recognised from the content.
+    """Ground truth for the left `camera` (undistorted) from a file of labels in any format, or a folder of YOLO labels.
 
-    Args:
-        path: file of labels, or folder of YOLO labels, in rectified pixels.
-        camera: the left camera, undistorted.
-        left_from_reference_m: (3,) shift from the frame of KITTI's reference camera to that of the left camera.
-
-    Raises LabelFileError: the file cannot be read, or has no identities, or no distances (KITTI: no 3-D boxes), which
-    are optional for COCO, CVAT and YOLO.
+    `left_from_reference_m` (3,) is the shift from the frame of KITTI's reference camera to that of the left one. Raises
+    LabelFileError if the file cannot be read, or has no identities, or no distances (KITTI: no 3-D boxes), which are
+    optional for COCO, CVAT and YOLO.
     """
     if os.path.isdir(path) or label_format_of(path, "ground truth").is_general:
         return _of_table(path, camera)

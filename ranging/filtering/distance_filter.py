@@ -176,10 +176,8 @@ class DistanceFilters:
     def __init__(self, noise_shares: Mapping[str, float], settings: FilterSettings | None = None) -> None:
         """Start without tracks.
 
-        Args:
-            noise_shares: initial independent fraction s of sigma by method; not used for `Ranges` with a systematic
-                part per box.
-            settings: settings of all filters; None = the defaults.
+        `noise_shares` are the initial independent fractions s of sigma by method, for `Ranges` without a systematic
+        part per box.
         """
         self._settings = settings or FilterSettings()
         self._methods = tuple(noise_shares)

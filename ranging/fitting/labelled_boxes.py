@@ -165,15 +165,10 @@ def box_set(
 ) -> BoxSet:
     """Boxes of KITTI tracking labels (NAME.txt per sequence) or object labels (a file per image), with calibration.
 
-    Args:
-        labels: folder of label files.
-        calib: folder of calibration files with the same names.
-        boxes: "labels", or "rrc:DIR" for detections DIR/Car/NAME.txt and DIR/Pedestrian/NAME.txt, matched to labels.
-        noise_px, seed: standard deviation and random seed of noise added to every edge.
-        selection: labels that are used; None = visible objects at 5-100 m of all files.
-
-    Raises LabelFileError: no files, no 3-D boxes, no usable labels, or detections that cannot be read; RigError: a
-    calibration file is missing or cannot be read.
+    `calib` has calibration files of the same names. `boxes` are "labels", or "rrc:DIR" for detections DIR/Car/NAME.txt
+    and DIR/Pedestrian/NAME.txt, matched to labels. `noise_px` is the standard deviation of noise added to every edge.
+    Without `selection`, visible objects at 5-100 m of all files are used. Raises LabelFileError for no files, no 3-D
+    boxes, no usable labels, or unreadable detections; RigError for a missing or unreadable calibration.
     """
     files = sorted(file for file in labels.glob("*.txt") if not file.name.startswith("."))
     if not files:
@@ -292,11 +287,8 @@ def greedy_matches(
 ) -> tuple[IntArray, IntArray]:
     """Row indices of matching labels and detections: in the order of confidence, each to the free label of highest IoU.
 
-    Args:
-        labels: (N,) frame and (N, 4) box of all labels, of any type, so that the detection of an occluded or ignored
-            object is not matched to its neighbour.
-        detections: (M,) frame and (M, 4) box.
-        score: (M,) confidence of the detections.
+    `labels` are (N,) frames and (N, 4) boxes of any type, so that the detection of an occluded or ignored object is not
+    matched to its neighbour; `detections` are (M,) frames and (M, 4) boxes with the scores (M,).
     """
     pairs: list[tuple[int, int]] = []
     for number in np.intersect1d(labels[0], detections[0]):

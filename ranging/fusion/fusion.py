@@ -127,13 +127,9 @@ class Fusion:
         self._tracks = TrackState(TrackBiases.initial_column(self._model))
 
     def fuse(self, by_method: Mapping[str, Ranges], track_id: IntArray, time_s: float) -> Fused:
-        """Fused ranges of one frame.
+        """Fused ranges of the tracks (N,) of a frame, not earlier than the previous one, from those by each method.
 
-        Args:
-            by_method: ranges of the tracks in the order of `track_id`, by method; methods that are not fused are
-                ignored.
-            track_id: (N,) tracks of the frame.
-            time_s: time of the frame, not earlier than that of the previous frame.
+        The ranges are in the order of `track_id`; those of methods that are not fused are ignored.
         """
         model, m = self._model, len(self._model.names)
         track = TrackBiases.from_columns(self._tracks.get(track_id), m)

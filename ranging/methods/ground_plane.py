@@ -392,14 +392,11 @@ class GroundRanger(Ranger):
         is_reference: bool = False,
         has_stereo: bool = False,
     ) -> None:
-        """Create a ranger.
+        """Create a ranger for `camera` (undistorted).
 
-        Args:
-            camera: the camera, undistorted.
-            settings: None = the defaults.
-            is_reference: whether the camera height is known, so that image motion measures the drive's scale.
-            has_stereo: whether there is a calibrated pair: the ground then remains a fallback in fusion, since kerbs
-                are an error that mono has as well, and stereo measures the drive's scale.
+        `is_reference` is whether the camera height is known, so that image motion measures the drive's scale. With a
+        calibrated pair (`has_stereo`), the ground remains a fallback in fusion, since kerbs are an error that mono has
+        as well, and stereo measures the drive's scale.
         """
         self._has_stereo = has_stereo
         self._usual = settings or GroundSettings()

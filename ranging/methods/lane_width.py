@@ -34,8 +34,8 @@ from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.foundation.track_state import TrackState
 from track_range.ranging.method import ErrorSource, Measured, MethodContext, Ranger, RangingMethod
 from track_range.ranging.ranges import Ranges
-from track_range.ranging.region import Region
 from track_range.ranging.size_models.drive_scale import DriveScale
+from track_range.ranging.size_models.region import Region
 from track_range.ranging.size_models.size_model import BORDER_PX, surface_offset_m
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame

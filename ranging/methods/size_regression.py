@@ -11,7 +11,6 @@ from track_range.detection.box_errors import NO_ERRORS, BoxErrors
 from track_range.detection.boxes import area_px2, intersection_px2
 from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.ranging.method import ErrorSource, Measured, MethodContext, Ranger, RangingMethod
-from track_range.ranging.parallax import Parallax
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
@@ -25,6 +24,7 @@ from track_range.ranging.size_models.size_model import (
     have_hidden_sides,
     measured_boxes,
 )
+from track_range.ranging.world.parallax import Parallax
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import CameraStep
@@ -81,17 +81,12 @@ class SizeRanger(Ranger):
         parallax: Parallax | None = None,
         has_visible_boxes: bool = False,
     ) -> None:
-        """Create a ranger for `camera` (undistorted).
+        """Create a ranger for `camera` (undistorted); without curves, with the packaged priors.
 
-        Args:
-            camera: camera of the images with the boxes.
-            curves: model of the sizes of road users; None = the packaged priors.
-            box_sigma_px: standard deviation of a box edge, if it is the same for all boxes.
-            noise: noise model of the box edges, overrides `box_sigma_px`; None = typical noise of a detector.
-            box_errors: systematic errors of the detector's boxes; None = an unknown detector, or with `box_sigma_px` no
-                such errors.
-            parallax: triangulation of static objects, which corrects their tracks; None = off.
-            has_visible_boxes: whether boxes end where a nearer object begins, as those of a detector.
+        `box_sigma_px` is the standard deviation of all box edges; `noise` overrides it, and without both it is typical
+        of a detector. `box_errors` are systematic errors of the detector's boxes; None = an unknown detector, or with
+        `box_sigma_px` no such errors. `parallax` triangulates static objects, which corrects their tracks.
+        `has_visible_boxes`: boxes end where a nearer object begins, as those of a detector.
         """
         self._has_visible_boxes = has_visible_boxes
         self._parallax = parallax

@@ -18,9 +18,9 @@ from track_range.foundation.errors import UserError
 from track_range.foundation.files.atomic_files import describe, write_text
 from track_range.foundation.files.structured_text import read_json
 from track_range.foundation.validation import Integer, validated
-from track_range.ranging.region import Region
 from track_range.ranging.size_models import cuboid_sizes, log_linear, plain_curves
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
+from track_range.ranging.size_models.region import Region
 from track_range.ranging.size_models.regions import in_region
 from track_range.ranging.size_models.size_model import StoredSizeModel
 

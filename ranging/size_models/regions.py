@@ -24,9 +24,9 @@ from typing import NamedTuple
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.ranging.region import Region
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.prior import BodyType, SizePrior
+from track_range.ranging.size_models.region import Region
 
 
 class _Type(NamedTuple):

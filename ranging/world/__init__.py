@@ -1,1 +1,1 @@
-"""Ego path and road users in the world: poses, speeds over ground, headings and states of motion."""
+"""The camera and road users in the world: speeds, poses, headings, states of motion, and parallax of what stands."""

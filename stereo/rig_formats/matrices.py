@@ -28,12 +28,7 @@ from track_range.stereo.geometry.lenses import KANNALA_BRANDT, PINHOLE
 from track_range.stereo.geometry.rig import RigError, inverse_motion, rigid_motion
 from track_range.stereo.geometry.rig_checks import MAX_SIDE_PX, RigCalibration
 from track_range.stereo.rig_formats.rig_format import format_by_pattern
-from track_range.stereo.rig_formats.values.containers import (
-    EXPECTED,
-    K_AND_BASELINE,
-    VIRTUAL_KITTI,
-    plain_values,
-)
+from track_range.stereo.rig_formats.values.containers import EXPECTED, K_AND_BASELINE, VIRTUAL_KITTI, plain_values
 from track_range.stereo.rig_formats.values.partners import is_second, other_half, partner_of
 from track_range.stereo.rig_formats.values.quantities import Quantities, Side, quantities_of, read_quantities
 

@@ -97,11 +97,7 @@ def load_camera(
 
 
 def load_calibration(
-    path: Path,
-    *,
-    size_px: tuple[int, int] | None = None,
-    is_grey: bool = False,
-    metres_per_unit: float | None = None,
+    path: Path, *, size_px: tuple[int, int] | None = None, is_grey: bool = False, metres_per_unit: float | None = None
 ) -> tuple[PinholeCamera | StereoRig, tuple[str, ...]]:
     """The rig of a file, or its only camera, and notes for the user; see `load_rig` and `load_camera`.
 

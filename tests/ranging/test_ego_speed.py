@@ -4,7 +4,7 @@ import re
 import numpy as np
 import pytest
 
-from track_range.ranging.ego_speed import EgoSpeed, EgoSpeedError, open_ego_speed
+from track_range.ranging.world.ego_speed import EgoSpeed, EgoSpeedError, open_ego_speed
 
 OXTS = "49.0 8.4 114.1 0.03 0.02 1.8 5.5 -3.2 {speed} " + " ".join(["0.1"] * 21)
 

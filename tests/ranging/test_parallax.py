@@ -5,8 +5,8 @@ import pytest
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.sparse_flow import BackgroundFlow
-from track_range.ranging.parallax import Parallax
 from track_range.ranging.ranges import Ranges
+from track_range.ranging.world.parallax import Parallax
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.odometry.ego_motion import CameraStep
 from track_range.tracking.tracks import Tracks

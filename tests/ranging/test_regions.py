@@ -5,8 +5,8 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from track_range.ranging.region import Region, region_at
 from track_range.ranging.size_models.curve import load_curves
+from track_range.ranging.size_models.region import Region, region_at
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxNoise, measured_boxes
 from track_range.stereo.geometry.camera import PinholeCamera
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.ranging.doubt.shape_check import ShapeCheck
+from track_range.ranging.doubt.scale_check import ShapeCheck
 from track_range.ranging.size_models.curve import load_curves
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.tracking.tracks import Tracks

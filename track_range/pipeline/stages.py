@@ -19,7 +19,6 @@ from track_range.detection.detections import Detections
 from track_range.detection.lanes.lines import LaneFinder, LaneLines
 from track_range.foundation.arrays import FloatArray, FloatArray32
 from track_range.pipeline.throughput import StageClock
-from track_range.ranging.ego_speed import EgoSpeed
 from track_range.ranging.filtering.cut_boxes import CutBoxes
 from track_range.ranging.filtering.distance_filter import DistanceFilters, FilteredRanges
 from track_range.ranging.filtering.lateral_motion import LateralFilters, LateralMotion
@@ -29,6 +28,7 @@ from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import methods
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
 from track_range.ranging.size_models.size_model import have_hidden_sides
+from track_range.ranging.world.ego_speed import EgoSpeed
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.camera_height import CameraHeight
@@ -124,13 +124,9 @@ class EgoStage:
     trusts_speed: bool = True  # whether a given speed is used
 
     def update(self, frame: Frame, xyxy_px: FloatArray, clock: StageClock, known: EgoMotion | None = None) -> Ego:
-        """The motion to the next frame; frames must be passed in order.
+        """The motion to the next frame, in order; the boxes (N, 4) are those of road users, which are not static.
 
-        Args:
-            frame: the images.
-            xyxy_px: (N, 4) boxes of road users, which are not static.
-            clock: takes the time of what is measured from the images.
-            known: speed of the camera that is known for this frame only; None = as the stage measures it.
+        `known` is a speed of the camera that is known for this frame only; None = as the stage measures it.
         """
         if known is None and self.speed is not None:
             known = EgoMotion(self.speed.at(frame.time_s), self.speed.sigma_at(frame.time_s))
@@ -185,8 +181,7 @@ class RangingStage:
     ) -> tuple[dict[str, Ranges], list[ScaleEvidence]]:
         """Distances of the tracks by method, and the evidence of the methods about the scale of the drive.
 
-        Raises:
-            MethodError: a ranger of another package did not return ranges of these tracks.
+        Raises MethodError if a ranger of another package did not return ranges of these tracks.
         """
         ranges: dict[str, Ranges] = {}
         evidence: list[ScaleEvidence] = []

@@ -25,23 +25,9 @@ from track_range.recording.files.image_names import stereo_images
 from track_range.recording.frame import VideoError
 from track_range.recording.live.address import LiveAddress
 from track_range.recording.live.live_video import LiveVideo
-from track_range.recording.names import (
-    BagTopic,
-    Bayer,
-    Half,
-    LayoutOption,
-    Segments,
-    VideoName,
-    VideoTrack,
-    video_name,
-)
+from track_range.recording.names import BagTopic, Bayer, Half, LayoutOption, Segments, VideoName, VideoTrack, video_name
 from track_range.recording.open_video import open_video
-from track_range.recording.pairs.auto_alignment import (
-    ESTIMATION_SPAN_S,
-    PairAlignment,
-    find_alignment,
-    given_alignment,
-)
+from track_range.recording.pairs.auto_alignment import ESTIMATION_SPAN_S, PairAlignment, find_alignment, given_alignment
 from track_range.recording.pairs.live_pair import LivePair
 from track_range.recording.pairs.packed_pair import PackedPair, pair_in
 from track_range.recording.pairs.pair_monitor import PairMonitor

@@ -11,14 +11,14 @@ from track_range.foundation.sparse_flow import BackgroundFlow
 from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.pipeline.stages import DetectionStage, EgoStage, RangingStage
 from track_range.ranging.doubt.scale_check import ScaleCheck
-from track_range.ranging.ego_speed import EgoSpeed
 from track_range.ranging.method import MethodContext
 from track_range.ranging.methods.ground_plane import GroundSettings
 from track_range.ranging.methods.lane_width import usual_width
-from track_range.ranging.region import Region
 from track_range.ranging.registry import create_rangers, method_notes
+from track_range.ranging.size_models.region import Region
 from track_range.ranging.size_models.size_model import SizeModel
 from track_range.ranging.warning.collision_warning import CollisionWarning
+from track_range.ranging.world.ego_speed import EgoSpeed
 from track_range.recording.cameras.calibration import RecordingCalibration
 from track_range.recording.recording import Recording, open_recording
 from track_range.run.box_source import BoxSource

@@ -26,8 +26,8 @@ from track_range.foundation.errors import ConfigError, UsageError, UserError
 from track_range.foundation.keywords import KeywordsInErrors
 from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.pipeline.frame_result import FrameResult
-from track_range.ranging.ego_speed import MAX_SPEED_MPS, TABLE_SIGMA_MPS
 from track_range.ranging.size_models.curve import load_curves
+from track_range.ranging.world.ego_speed import MAX_SPEED_MPS, TABLE_SIGMA_MPS
 from track_range.recording.cameras.calibration import LensView, RecordingCalibration, calibration_of
 from track_range.recording.pairs.auto_alignment import PairAlignment, StepwiseAlignment, given_alignment
 from track_range.recording.pairs.pair_monitor import PairMonitor

@@ -25,8 +25,8 @@ from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.threads import LIVE_DEPTHS, run_in_threads
 from track_range.pipeline.throughput import FrameMeter
 from track_range.ranging.evaluation.truth import read_truth
-from track_range.ranging.region import Region, region_at
 from track_range.ranging.size_models.curve import load_curves
+from track_range.ranging.size_models.region import Region, region_at
 from track_range.ranging.size_models.size_model import SizeModel
 from track_range.recording.live.address import LiveAddress
 from track_range.recording.telemetry.positions import has_position

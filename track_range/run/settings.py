@@ -15,7 +15,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from track_range.foundation.files.input_files import quoted
 from track_range.foundation.options import Options, option
 from track_range.foundation.validation import chosen_numbers
-from track_range.ranging.region import Region
+from track_range.ranging.size_models.region import Region
 from track_range.ranging.warning.settings import WarningSettings
 from track_range.recording.names import stem_of
 from track_range.results.events.event import EventSettings

@@ -50,11 +50,8 @@ class Simulated:
 def simulate(settings: SimulationSettings, progress: StepProgress = no_progress) -> Simulated:
     """Write a drive with exact ground truth, or labelled images, to `settings.out`.
 
-    Raises:
-        UsageError: settings that contradict each other or are out of range.
-        RigError: the rig cannot be used.
-        OutputError, VideoError: the folder cannot be written.
-        FolderLockError: another run is writing to the folder.
+    Raises UsageError for settings that contradict each other or are out of range, RigError for an unusable rig,
+    OutputError, VideoError or FolderLockError for a folder that cannot be written, or that another run is writing to.
     """
     if settings.images is None:
         return _drive(settings, progress)

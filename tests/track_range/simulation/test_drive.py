@@ -8,7 +8,7 @@ import pytest
 
 from track_range.detection.boxes import iou
 from track_range.detection.formats.video_labels.kitti import read_kitti
-from track_range.ranging.ego_speed import open_ego_speed
+from track_range.ranging.world.ego_speed import open_ego_speed
 from track_range.recording.open_video import open_video
 from track_range.simulation.camera.tables import kitti_text
 from track_range.simulation.drive import N_THREADS, write_drive

@@ -97,10 +97,8 @@ class LabelledSource:
     def open(self) -> LabelledFrames:
         """Read all labels and open the images.
 
-        Raises:
-            ClassNameError: a chosen class is unknown.
-            UsageError: a video whose labels are not one KITTI tracking file.
-            LabelFileError, ImageFileError, VideoError: labels, images or video cannot be read.
+        Raises ClassNameError for an unknown class, UsageError for a video whose labels are not one KITTI tracking file,
+        LabelFileError, ImageFileError or VideoError if labels, images or the video cannot be read.
         """
         road_class_ids(self.classes)
         if not self.is_video:

@@ -22,17 +22,12 @@ _N_CONNECTIONS = 16  # files that are looked up at a time
 
 
 def clips_of(recordings: Sequence[str], pattern: str | None, rig: str | None) -> list[Clip]:
-    """The clips that a command line names, sorted by name.
+    """The clips of folders, files, patterns such as `DIR/*.mp4`, and manifests (.csv, .parquet), sorted by name.
 
-    Args:
-        recordings: folders, files, patterns such as `DIR/*.mp4`, and manifests (.csv, .parquet), local or remote.
-        pattern: names of the files of a clip, relative to a folder: `{clip}.mp4` for one camera,
-            `{clip}_left.mp4,{clip}_right.mp4` for two; other placeholders become labels. None = every video is a clip.
-        rig: calibration file of all clips, which may contain the placeholders of the pattern or the columns of the
-            manifest; None = as in a run.
-
-    Raises FleetInputError: nothing is found, names are not unique, or a pattern or manifest is wrong; StorageError: a
-    storage cannot be reached.
+    `pattern` has the names of the files of a clip, relative to a folder: `{clip}.mp4` for one camera,
+    `{clip}_left.mp4,{clip}_right.mp4` for two; other placeholders become labels; None = every video is a clip. `rig`
+    may contain these placeholders or the columns of the manifest. Raises FleetInputError if nothing is found, names are
+    not unique, or a pattern or manifest is wrong; StorageError if a storage cannot be reached.
     """
     file_pattern = None if pattern is None else FilePattern.of(pattern)
     rig_template = None if rig is None else Template.of(rig, "--rig")

@@ -15,7 +15,7 @@ from av.video.stream import VideoStream
 
 from track_range.foundation.arrays import Image
 from track_range.foundation.errors import UserError
-from track_range.ranging.ego_speed import EgoSpeed
+from track_range.ranging.world.ego_speed import EgoSpeed
 from track_range.recording.frame import TIME_EPSILON_S
 from track_range.recording.names import RecordedName
 from track_range.recording.open_video import open_video

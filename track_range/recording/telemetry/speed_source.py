@@ -17,7 +17,7 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.input_files import first_line
 from track_range.foundation.files.numeric_text import number
-from track_range.ranging.ego_speed import EgoSpeed, EgoSpeedError, open_ego_speed
+from track_range.ranging.world.ego_speed import EgoSpeed, EgoSpeedError, open_ego_speed
 from track_range.recording.live.live_video import LiveVideo
 from track_range.recording.recorded_video import VideoPart
 from track_range.recording.recording import Recording

@@ -12,7 +12,7 @@ import pytest
 
 from tests.track_range.recording.telemetry.telemetry_files import LATITUDE, LONGITUDE, START_S, gpx_text, rmc
 from track_range.fleet.inputs.clip import Clip
-from track_range.ranging.ego_speed import EgoSpeedError
+from track_range.ranging.world.ego_speed import EgoSpeedError
 from track_range.recording.recording import open_recording
 from track_range.recording.telemetry.sidecars.reading import read_sidecar
 from track_range.recording.telemetry.speed_source import open_speed

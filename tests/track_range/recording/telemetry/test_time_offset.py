@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from track_range.ranging.ego_speed import EgoSpeed
+from track_range.ranging.world.ego_speed import EgoSpeed
 from track_range.recording.telemetry.image_evidence import contradiction
 from track_range.recording.telemetry.time_offset import MotionSeries, estimated_offset
 

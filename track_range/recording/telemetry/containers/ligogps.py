@@ -19,15 +19,7 @@ import numpy as np
 from track_range.foundation.files.numeric_text import number
 from track_range.recording.telemetry.containers.mp4_boxes import Movie, read_at
 from track_range.recording.telemetry.positions import MPS_PER_UNIT
-from track_range.recording.telemetry.samples import (
-    MAX_SAMPLES,
-    Sample,
-    Unit,
-    date_s,
-    degrees,
-    signed,
-    track,
-)
+from track_range.recording.telemetry.samples import MAX_SAMPLES, Sample, Unit, date_s, degrees, signed, track
 from track_range.recording.telemetry.track import TelemetryTrack
 
 _MAX_BYTES = 16_000_000  # size limit of the trailer; 33 hours at 1 Hz

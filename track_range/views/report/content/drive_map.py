@@ -9,14 +9,7 @@ import numpy as np
 from track_range.pipeline.colours import track_colour
 from track_range.results.columns import Columns, most_frequent, rows_by_track
 from track_range.results.formats.poses_file import Poses
-from track_range.views.report.content.series import (
-    LINE_POINTS,
-    TICKS_PER_M,
-    TICKS_PER_S,
-    column,
-    packed,
-    thinned,
-)
+from track_range.views.report.content.series import LINE_POINTS, TICKS_PER_M, TICKS_PER_S, column, packed, thinned
 
 _TRACK_POINTS = 200  # largest number of points of the path of a track
 _MAX_TRACKS = 1000  # largest number of paths: those of the longest tracks

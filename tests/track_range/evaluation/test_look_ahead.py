@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from track_range.evaluation.motion.measured_motion import combined
 from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.ranging.filtering.distance_filter import DistanceFilters, FilterSettings
-from track_range.ranging.filtering.look_ahead import combined
 from track_range.ranging.ranges import Ranges
 
 
