@@ -35,11 +35,9 @@ For detectors' class names. For KITTI's ground truth, `KITTI_IGNORED` excludes s
 
 _KINDS = ("stop sign", "van", "cyclist", "person_sitting")  # names in `ROAD_CLASS_OF` for only part of their class
 SAME_OBJECT_GROUP: IntArray = np.array([0, 1, 2, 1, 2, 2, 3, 4])  # by class_id: detectors confuse those of a group
-KITTI_IGNORED = ("Van", "Tram", "Misc", "Person", "Person_sitting", "DontCare")
-"""KITTI types that count neither as true nor as false positives: similar to an evaluated class, or crowd regions."""
+KITTI_IGNORED = ("Van", "Tram", "Misc", "Person", "Person_sitting", "DontCare")  # neither true nor false positives
 
-# fmt: off
-COCO_CLASSES = (
+COCO_CLASSES = (  # COCO's 80 class names, in the order that networks trained on COCO use
     "person", "bicycle", "car", "motorcycle", "airplane", "bus", "train", "truck", "boat", "traffic light",
     "fire hydrant", "stop sign", "parking meter", "bench", "bird", "cat", "dog", "horse", "sheep", "cow",
     "elephant", "bear", "zebra", "giraffe", "backpack", "umbrella", "handbag", "tie", "suitcase", "frisbee", "skis",
@@ -49,21 +47,15 @@ COCO_CLASSES = (
     "dining table", "toilet", "tv", "laptop", "mouse", "remote", "keyboard", "cell phone", "microwave", "oven",
     "toaster", "sink", "refrigerator", "book", "clock", "vase", "scissors", "teddy bear", "hair drier",
     "toothbrush",
-)
-# fmt: on
-"""COCO's 80 class names, in the order that networks trained on COCO use."""
-
+)  # fmt: skip
 _UNUSED_COCO_IDS = (0, 12, 26, 29, 30, 45, 66, 68, 69, 71, 83)  # ids that COCO's annotations do not use
 _COCO_NAME_OF_ID = dict(zip((i for i in range(91) if i not in _UNUSED_COCO_IDS), COCO_CLASSES, strict=True))
 COCO_CATEGORIES = tuple(_COCO_NAME_OF_ID.get(i, "N/A") for i in range(91))  # by category id, "N/A" = unused
 
-# fmt: off
-VOC_CLASSES = (
+VOC_CLASSES = (  # Pascal VOC's 20 class names, in alphabetical order as networks trained on VOC use them
     "aeroplane", "bicycle", "bird", "boat", "bottle", "bus", "car", "cat", "chair", "cow", "diningtable", "dog",
     "horse", "motorbike", "person", "pottedplant", "sheep", "sofa", "train", "tvmonitor",
-)
-# fmt: on
-"""Pascal VOC's 20 class names, in alphabetical order as networks trained on VOC use them."""
+)  # fmt: skip
 
 
 ROAD_CLASS_TABLE = ", ".join(f"{class_id} {name}" for class_id, name in enumerate(ROAD_CLASSES))  # for messages

@@ -18,8 +18,7 @@ from track_range.foundation.registry import Registry, imported
 from track_range.ranging.method import MethodContext, MethodError, Ranger, RangingMethod
 
 _METHODS_FOLDER = "track_range.ranging.methods"
-
-METHODS: Registry[RangingMethod] = Registry(
+METHODS: Registry[RangingMethod] = Registry(  # built-in ones in the order of columns, tables and stages
     "track_range.ranging_methods",
     {
         "mono": f"{_METHODS_FOLDER}.size_regression:MONO",
@@ -30,7 +29,6 @@ METHODS: Registry[RangingMethod] = Registry(
         "expansion": f"{_METHODS_FOLDER}.expansion:EXPANSION",
     },
 )
-"""The ranging methods; built-in ones are in the order of columns, tables and stages."""
 
 
 def methods() -> tuple[RangingMethod, ...]:

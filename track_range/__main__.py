@@ -5,8 +5,7 @@ from __future__ import annotations
 import gc
 import sys
 
-_GC_THRESHOLD = 50_000
-"""Allocations between garbage collections; the default of 700 costs a tenth of the time of `--help`."""
+_GC_THRESHOLD = 50_000  # allocations between garbage collections; the default, 700, costs a tenth of `--help`'s time
 
 
 def main() -> None:

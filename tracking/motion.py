@@ -37,21 +37,18 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, row_n
 _SMALLEST_CXCYWH = np.array([-np.inf, -np.inf, 1.0, 1.0])  # of a predicted box: IoU needs a positive size
 
 # fmt: off
-_CXCYWH_OF_XYXY = np.array(
+_CXCYWH_OF_XYXY = np.array(  # by which rows left, top, right, bottom are multiplied: faster than by column
     [[0.5, 0.0, -1.0, 0.0],
      [0.0, 0.5, 0.0, -1.0],
      [0.5, 0.0, 1.0, 0.0],
      [0.0, 0.5, 0.0, 1.0]]
 )
-"""Matrix by which rows left, top, right, bottom are multiplied for cx, cy, w, h: faster than column by column."""
-
-_XYXY_OF_CXCYWH = np.array(
+_XYXY_OF_CXCYWH = np.array(  # the inverse
     [[1.0, 0.0, 1.0, 0.0],
      [0.0, 1.0, 0.0, 1.0],
      [-0.5, 0.0, 0.5, 0.0],
      [0.0, -0.5, 0.0, 0.5]]
 )
-"""The inverse."""
 # fmt: on
 
 _MAX_SIGMAS = 2.0  # limit of innovations, in standard deviations, so that one wrong box does not dominate

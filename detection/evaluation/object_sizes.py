@@ -24,7 +24,7 @@ from track_range.detection.evaluation.matching import SizeBin, SizeMeasure, matc
 from track_range.detection.formats.image_labels.image_truth import ImageTruth
 from track_range.foundation.arrays import FloatArray, IntArray
 
-SIZE_BINS: Mapping[SizeMeasure, tuple[SizeBin, ...]] = {
+SIZE_BINS: Mapping[SizeMeasure, tuple[SizeBin, ...]] = {  # bins by measure; those of area are COCO's
     "area": (
         SizeBin("small", "area", 0.0, 32.0**2),
         SizeBin("medium", "area", 32.0**2, 96.0**2),
@@ -37,8 +37,6 @@ SIZE_BINS: Mapping[SizeMeasure, tuple[SizeBin, ...]] = {
         SizeBin(">= 100 px", "height", 100.0, np.inf),
     ),
 }
-"""Bins by measure; those of area are COCO's."""
-
 MIN_BIN_BOXES = 10  # minimum number of labels of a class in a bin that is included in the bin's means
 
 _FIGURES = ("ap50", "ap50_95", "recall")

@@ -16,10 +16,7 @@ import numpy as np
 from track_range.detection.lanes.lines import LaneLine
 from track_range.foundation.arrays import FloatArray
 
-WIDTH_SLOPE, WIDTH_SLOPE_LOG_SIGMA = 2.3, 0.35
-"""Typical lane width / camera height and the standard deviation of its logarithm: the ratio is 2.1 with the camera on
-the roof of a car, 2.5 behind a windscreen, 1.4 in a truck."""
-
+WIDTH_SLOPE, WIDTH_SLOPE_LOG_SIGMA = 2.3, 0.35  # typical lane width / camera height: cars 2.1 to 2.5, trucks 1.4
 HORIZON, HORIZON_SIGMA = 0.48, 0.12  # typical row for a forward-looking camera, in image heights
 _REFERENCE_ROW = 0.75  # y0, in image heights
 _PRIOR_SIGMA = np.array([0.3, 0.6, np.nan, np.nan, 0.5])  # of a, b, c in image heights; d, s: from the width

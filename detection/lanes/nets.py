@@ -35,25 +35,18 @@ from track_range.detection.models.onnx_session import BoundNetwork, ModelError, 
 from track_range.foundation.arrays import FloatArray, FloatArray32, Image, IntArray, check_shape
 
 Points = tuple[FloatArray, IntArray]  # (N, 2) pixels on lines and (N,) their line numbers, -1 = unknown
-
-ROW_ANCHORS: Mapping[int, FloatArray] = {
+ROW_ANCHORS: Mapping[int, FloatArray] = {  # of CULane and TuSimple heads in 288 rows, as in the official implementation
     18: np.array(
         [121, 131, 141, 150, 160, 170, 180, 189, 199, 209, 219, 228, 238, 248, 258, 267, 277, 287], np.float64
     ),
     56: np.arange(64.0, 285.0, 4.0),
 }
-"""Rows of CULane heads (18) and TuSimple heads (56) in an input of 288 rows: `culane_row_anchor` and
-`tusimple_row_anchor` of the official implementation."""
-
 ROW_ANCHOR_LINES = 4
 _ANCHOR_IMAGE_ROWS = 288.0  # height of the input that `ROW_ANCHORS` refers to
 _N_CURVE_SAMPLES = 40  # pixels per curve
 _MIN_CURVE_SCORE = 0.5  # probability of a curve
 _ROW_STEP = 2  # neighbouring rows of a mask are redundant
-
-_MAX_RUN = 0.08
-"""Largest width of a run of line pixels, as a fraction of the mask's width; wider runs are stop lines or distant lines
-that merge."""
+_MAX_RUN = 0.08  # largest width of a run of line pixels, of the mask's width; stop lines and merging lines are wider
 
 
 def mask_points(scores: FloatArray32, input_hw: tuple[int, int] | None = None) -> Points:

@@ -20,17 +20,13 @@ from track_range.foundation.files.output_files import OutputError
 LAST, BEST, RESULTS = "last.pt", "best.pt", "results.csv"
 _FORMAT = 1
 
-# fmt: off
-_OPTION = {
+_OPTION = {  # command line option by the key of a run's identity, for messages
     "model": "--model", "attention": "--attention", "classes": "--data (its names)", "anchors": "--anchors",
     "data": "--data", "teacher": "--teacher", "size_px": "--size", "n_epochs": "--epochs",
     "n_last_epochs": "--last-epochs", "n_int8_epochs": "--int8-epochs", "batch_size": "--batch", "seed": "--seed",
     "box_loss": "--box-loss", "precision": "--precision", "optimiser": "--optimiser",
     "learning_rate": "--learning-rate", "mosaic": "--mosaic", "min_gain": "--gain", "max_gain": "--gain",
-}
-# fmt: on
-"""Command line option by the key of a run's identity, for messages."""
-
+}  # fmt: skip
 _DEFAULT = {"n_last_epochs": 0, "n_int8_epochs": 0}  # of checkpoints older than these settings
 
 
@@ -105,12 +101,11 @@ def _is_identity(value: object) -> bool:
     return _is_dictionary(value, object) and isinstance(classes, list) and all(isinstance(n, str) for n in classes)
 
 
-_IS_VALID: Mapping[str, Callable[[object], bool]] = {
+_IS_VALID: Mapping[str, Callable[[object], bool]] = {  # check of the structure of a part of a checkpoint, by key
     "identity": _is_identity,
     "history": lambda value: isinstance(value, list) and all(_is_dictionary(row, int | float) for row in value),
     **dict.fromkeys(("network", "average", "feature_loss"), partial(_is_dictionary, of=Tensor)),
 }
-"""Check of the structure of a part of a checkpoint, by key."""
 
 
 def check_same_run(path: Path, saved: Mapping[str, Any], expected: Mapping[str, Any]) -> None:

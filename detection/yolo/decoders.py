@@ -60,9 +60,7 @@ class Candidates:
         )
 
 
-Decoder = Callable[[Sequence[FloatArray32], FloatArray], Candidates]
-"""Function from a network's outputs, in its order, and the threshold (C,) of each of its classes, which is above 1 for
-classes to leave out, to the candidates of one image."""
+Decoder = Callable[[Sequence[FloatArray32], FloatArray], Candidates]  # outputs, (C,) thresholds (above 1 = left out)
 
 
 def decode_rows(output: int, outputs: Sequence[FloatArray32], min_score: FloatArray) -> Candidates:

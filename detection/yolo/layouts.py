@@ -62,13 +62,11 @@ _DEFAULT_NAMES = {80: ("COCO", COCO_CLASSES), 20: ("VOC", VOC_CLASSES), 91: ("CO
 YOLOV4_TINY_ANCHORS: Anchors = (((81, 82), (135, 169), (344, 319)), ((23, 27), (37, 58), (81, 82)))
 """Anchors in input pixels at strides 32 and 16: masks 3,4,5 and 1,2,3 of AlexeyAB's yolov4-tiny.cfg."""
 
-YOLOV4_ANCHORS: Anchors = (
+YOLOV4_ANCHORS: Anchors = (  # anchors in input pixels at strides 8, 16 and 32 (AlexeyAB's yolov4.cfg)
     ((12, 16), (19, 36), (40, 28)),
     ((36, 75), (76, 55), (72, 146)),
     ((142, 110), (192, 243), (459, 401)),
 )
-"""Anchors in input pixels at strides 8, 16 and 32 (AlexeyAB's yolov4.cfg)."""
-
 _YOLOV4_SCALES = (1.2, 1.1, 1.05)  # scale_x_y at strides 8, 16 and 32 (AlexeyAB's yolov4.cfg)
 
 _PLAIN_INPUT = InputFormat()

@@ -48,7 +48,7 @@ class ScaleDoubt(NamedTuple):
         return f"the {cause} is {times}" + (f" ({', '.join(fits)}?)" if fits else "")
 
 
-_MISTAKES: tuple[tuple[Cause, float, str], ...] = (
+_MISTAKES: tuple[tuple[Cause, float, str], ...] = (  # mistakes, and the factor that each makes a value too large by
     ("baseline", 2.54, "centimetres read as inches"),
     ("baseline", 1 / 2.54, "inches read as centimetres"),
     ("baseline", 3.281, "feet read as metres"),
@@ -64,7 +64,6 @@ _MISTAKES: tuple[tuple[Cause, float, str], ...] = (
     ("speed", 1.944, "knots read as m/s"),
     ("speed", 1 / 1.852, "knots read as km/h"),
 )
-"""Mistakes, and the factor that each makes a value too large by."""
 
 
 def known_mistakes(cause: Cause, factor: float, sigma: float) -> list[str]:

@@ -33,9 +33,7 @@ METRICS = ("abs_rel", "sq_rel_m", "rmse_m", "rmse_log", "delta_1_25", "delta_1_2
 
 Predictor = Callable[[BoxSet], MethodColumn]  # function that measures boxes
 Fitter = Callable[[BoxSet], Predictor]  # function that fits a predictor to boxes
-
-Scheme = Callable[[BoxSet, BoxSet, Fitter], MethodColumn]
-"""Function that fits a method to training boxes and measures boxes: `cross_validated`, `within_drives`, `held_out`."""
+Scheme = Callable[[BoxSet, BoxSet, Fitter], MethodColumn]  # fits a method to training boxes, measures boxes
 
 
 def figures(boxes: BoxSet, column: MethodColumn) -> dict[str, dict[str, Any]]:

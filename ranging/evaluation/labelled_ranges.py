@@ -29,21 +29,14 @@ from track_range.ranging.fitting.labelled_boxes import BoxSelection, BoxSet, box
 from track_range.ranging.fitting.prior_fit import STANDARD_SIZES
 from track_range.ranging.size_models.plain_curves import PLAIN_CURVES
 
-CHEN = "chen"
-"""Value of --split: the split into 3,712 training and 3,769 validation frames by Chen et al., 3D Object Proposals for
-Accurate Object Class Detection, NeurIPS 2015."""
-
-_IMAGE_SETS, _N_PARENTS = "ImageSets", 3
-"""Folder of its lists in copies of KITTI, and number of folders above the labels in which it may be."""
-
+CHEN = "chen"  # value of --split: 3,712 training and 3,769 validation frames (Chen et al., 3DOP, NeurIPS 2015)
+_IMAGE_SETS, _N_PARENTS = "ImageSets", 3  # folder of its lists in copies of KITTI, at most so many folders higher
 _NARROW, _WIDE = 1.5, 2.2  # ratios of the width to the height of boxes of vehicles seen from behind, and from the side
-
-_TRUTH: Mapping[str, str] = {
+_TRUTH: Mapping[str, str] = {  # definitions of the true distance
     "surface": "z at which the ray through the label's box centre meets its 3-D box",
     "centre": "z of the centre of the 3-D box",
     "lidar": "10th percentile of the depths of the lidar points in the 3-D box",
 }
-"""Definitions of the true distance."""
 
 
 def evaluate_ranges(settings: RangeEvaluationSettings) -> dict[str, Any]:

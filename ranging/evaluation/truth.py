@@ -38,17 +38,13 @@ KITTI_PROTOCOL = (
     "z at which the ray through a label's box centre first meets its 3-D box "
     f"(labels at 5-100 m, not truncated, occluded <= {MAX_OCCLUDED}; {_SCORED})"
 )
-CSV_PROTOCOL = (
+CSV_PROTOCOL = (  # ground truth that errors are measured against, as printed and stored with them
     "distance and closing speed in the rows of the CSV file "
     f"(rows at 5-100 m, not truncated by the image border, visible_share >= {MIN_VISIBLE_FRACTION:g}; {_SCORED})"
 )
-"""Ground truth that errors are measured against, as printed and stored with them."""
-
-LABELS_PROTOCOL = (
+LABELS_PROTOCOL = (  # ground truth of COCO, CVAT and YOLO labels
     f"distance of the labels, if they have one (labels at 5-100 m, not truncated by the image border; {_SCORED})"
 )
-"""Ground truth of COCO, CVAT and YOLO labels."""
-
 _COLUMNS = ("frame", "track_id", "kitti_type", "class_id", "xyxy_px", "distance_m", "closing_mps")
 
 

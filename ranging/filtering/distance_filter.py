@@ -50,15 +50,8 @@ from track_range.ranging.ranges import Ranges
 _CAR = ROAD_CLASSES.index("car")
 MIN_CLOSING_MPS = 0.3  # smallest closing speed with a time to collision; below, the time is mostly noise
 _MIN_INDEPENDENT_FRACTION = 0.1  # of sigma; a method that declares less is filtered with this fraction
-
-_EGO_CORRELATION_S = 1.0
-"""Time tau in seconds over which errors of the ego speed are correlated; assumed: that of receivers with one sample per
-second. Odometry's are shorter, but its sigma is a tenth of a receiver's."""
-
-_DRIFT = 0.2
-"""Growth kappa of the systematic variance per change of log distance; `fusion` has 0.4 for the error of the size alone.
-Chosen on 13 of KITTI's tracking sequences."""
-
+_EGO_CORRELATION_S = 1.0  # tau, over which errors of the ego speed are correlated; assumed: that of receivers at 1 Hz
+_DRIFT = 0.2  # kappa, growth of the systematic variance per change of log distance; chosen on 13 of KITTI's sequences
 _GROWTH_EVIDENCE = 1.0  # exponent of the likelihoods of growths, whose sigma is true
 _LONG_DRIFT_HZ, _IS_LONG = 0.15, np.array([name in ("truck", "bus") for name in ROAD_CLASSES])
 """Growth per second of that of long vehicles, whose visible sides change in turns."""

@@ -45,8 +45,7 @@ _BORDER_PX, _BORDER_FRACTION = 2.0, 0.1
 height of the box, since the edges of detected boxes are uncertain."""
 
 _LEAST_WIDTH_FRACTION = 0.8  # of the smallest width of its class; in a narrower box, a part of the object is hidden
-
-_SIZES_M = {
+_SIZES_M = {  # typical length and smallest width of each class, m
     "person": (0.3, 0.4),
     "bicycle": (1.7, 0.4),
     "car": (4.2, 1.5),
@@ -56,8 +55,6 @@ _SIZES_M = {
     "traffic light": (0.3, 0.2),
     "traffic sign": (0.1, 0.4),
 }
-"""Typical length and smallest width of each class, m."""
-
 LENGTH_M, _MIN_WIDTH_M = np.array([_SIZES_M[name] for name in ROAD_CLASSES]).T
 
 

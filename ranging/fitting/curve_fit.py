@@ -22,14 +22,12 @@ MIN_SAMPLES = 100  # smallest number of boxes of a class for a fit, which requir
 _MIN_SIGMA_RELATIVE = 0.03  # smallest relative standard deviation of a curve
 _SLOPE_BOUNDS = ((-2.0, -0.1), (-1.0, 0.0))  # in log height and log width: the distance decreases with size
 _HUBER_SCALE = 0.1  # residual of log d beyond which the loss is linear: 10 % of the distance
-
-STANDARD_HEIGHTS_M: Mapping[str, tuple[float, float, str]] = {
+STANDARD_HEIGHTS_M: Mapping[str, tuple[float, float, str]] = {  # m, relative sigma and source, without labels
     "motorcycle": (1.55, 0.15, "a motorcycle with its rider, 1.3-1.8 m"),
     "bus": (3.1, 0.12, "city buses 2.9-3.3 m, coaches up to 3.8 m, minibuses 2.5 m"),
     "traffic light": (0.95, 0.35, "three lamps of 200 or 300 mm with housing, 0.8-1.1 m; some have one, two or four"),
     "traffic sign": (0.70, 0.30, "round and octagonal signs of 600-900 mm"),
 }
-"""Height in m, its relative standard deviation, and the source, for classes without labels."""
 
 
 def fit_curves(boxes: BoxSet, *, source: str) -> SizeCurves:

@@ -35,15 +35,13 @@ from track_range.ranging.evaluation.truth import MAX_OCCLUDED, surface_of_labels
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.rig_formats.reading import left_from_reference_m, load_camera
 
-CLASS_OF: Mapping[str, str] = {
+CLASS_OF: Mapping[str, str] = {  # KITTI types that are measured, with their class names in the results
     "Car": "car",
     "Van": "van",
     "Truck": "truck",
     "Pedestrian": "person",
     "Cyclist": "bicycle",
 }
-"""KITTI types that are measured, with their class names in the results."""
-
 DETECTED_CLASS_OF: Mapping[str, str] = {"van": "car"}  # road class that a detector reports for other classes
 FRAME_STEP_S = 0.1036  # mean frame interval of KITTI's tracking drives in s; their labels have no timestamps
 MIN_SCORE = 0.5  # smallest confidence of detections that are used

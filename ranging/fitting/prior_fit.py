@@ -37,10 +37,7 @@ from track_range.ranging.size_models.size_model import BORDER_PX
 MIN_OBJECTS, MIN_BOXES = 3, 100  # of a class for a fit; classes with fewer have their standard size
 _OBJECT_POWER, _BOX_POWER = 0.8, -0.5  # exponents of an object's number of boxes in the weights of object and box
 _STANDARD_OBJECTS = 1.0  # weight of the standard size of a class, as a number of objects
-
-_STANDARD_DRIVES, _STANDARD_DRIVE_SIGMA = 6.0, 0.03
-"""Weight, as a number of drives, and value of the standard deviation of the mean log height of drives."""
-
+_STANDARD_DRIVES, _STANDARD_DRIVE_SIGMA = 6.0, 0.03  # weight in drives, and value, of the sigma of mean log heights
 _UNIFORM_YAW_FRACTION = 0.1  # fraction of objects with a uniformly distributed yaw, so that no yaw is impossible
 _MIN_SCATTER = (0.01, 0.02)  # of log height and log width of boxes about those of the cuboid
 _LOG_DISTANCE = (3.2, 1.2)  # mean and standard deviation: 25 m with a factor of 3.3, wide enough for any road
@@ -88,7 +85,7 @@ class StandardBody:
         return np.log(self.hwl_m), correlation * np.outer(self.log_sigma, self.log_sigma)
 
 
-STANDARD_BODIES: Mapping[str, Mapping[str, StandardBody]] = {
+STANDARD_BODIES: Mapping[str, Mapping[str, StandardBody]] = {  # sizes of production models by class and body type
     "van": {
         "small": StandardBody(
             0.5, (1.85, 1.78, 4.35), (0.05, 0.05, 0.08), "VW Caddy, Renault Kangoo, Citroen Berlingo"
@@ -102,7 +99,6 @@ STANDARD_BODIES: Mapping[str, Mapping[str, StandardBody]] = {
         "heavy": StandardBody(0.85, (3.50, 2.50, 9.50), (0.12, 0.06, 0.30), "lorries of 7.5-40 t, at most 4 m high"),
     },
 }
-"""Sizes of production models by class and body type."""
 
 
 def fit_size_priors(labels: BoxSet, *, source: str) -> CuboidSizes:

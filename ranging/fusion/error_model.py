@@ -16,10 +16,7 @@ import numpy as np
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.method import RangingMethod
 
-_MIN_OWN_NOISE = 0.1
-"""Smallest fraction of the source `own` in a method's independent variance: two methods with the same sources still
-differ by rounding and implementation, and their covariance has to be positive definite."""
-
+_MIN_OWN_NOISE = 0.1  # smallest fraction of `own` in the independent variance: methods with equal sources still differ
 _SIMILAR = 0.5  # correlation above which fusion does not extrapolate from one method through the other
 
 

@@ -61,24 +61,13 @@ _LOG_MAX_SIZE_RATIO = math.log(2.5)  # largest plausible difference between matc
 _OUTLIER_SIGMA = 3.0  # deviation from history or another method: above an outlier, below in agreement
 _MAX_SPEED_MPS = 20.0  # largest rate of change of distances, for the prediction from the last frame
 _SAME_ERRORS = 0.5  # correlation of systematic errors above which two methods do not confirm each other
-
-_MEMORY_LOG = 5.0
-"""Change of log distance over which biases decay to 1/e. On KITTI's labelled tracks, the errors of mono lose 16 % of
-their variance over a distance factor of e, and none over time alone."""
-
+_MEMORY_LOG = 5.0  # change of log distance over which biases decay to 1/e; on KITTI mono's lose 16 % of their variance
 _MEMORY_S = 60.0  # time in s over which biases decay to 1/e; long, since KITTI shows no decay over time alone
 _MAX_GAP_S = 3.0  # longest absence in s after which the biases of a track are still used
 _MAX_AGREEMENTS = 2 * _TRUSTED_FRAMES  # so that a few conflicts (-2 each) end the trust in a track's history
 _CONFLICT_VARIANCE = 0.5  # variance added to u in a frame with a conflict
-
-_MAX_BIAS_SIGMA = 2.5
-"""Largest difference between size and matching methods, in standard deviations, that biases are learnt from: larger
-differences are due to matches on another object or to occluded boxes."""
-
-_VAGUE_SIGMA = 0.4
-"""Relative sigma above which a method is not used if another one is better: biases are in units of sigma, and one that
-is learnt while sigma is several times its usual value would be too large in the frames that follow."""
-
+_MAX_BIAS_SIGMA = 2.5  # largest difference in sigmas that biases are learnt from: others are mismatches or hidden boxes
+_VAGUE_SIGMA = 0.4  # relative sigma above which a method is not used if another is better: its bias would be too large
 _REFERENCE_S = 0.5  # s after a scale reference during which the scale counts as that of the reference
 _KNOWN_BIAS_VARIANCE = 0.3  # variance of a size method's u below which its scale is the reference's; 1 = not learnt
 

@@ -52,9 +52,7 @@ from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.road_horizon import RoadView, curvature_fraction, unknown_curvature_variance
 from track_range.tracking.tracks import Tracks
 
-GROUND_CLASSES = ("person", "bicycle", "car", "motorcycle", "bus", "truck", "van")
-"""Size classes of objects on the ground."""
-
+GROUND_CLASSES = ("person", "bicycle", "car", "motorcycle", "bus", "truck", "van")  # on the ground
 _ON_GROUND = np.array([name in GROUND_CLASSES for name in SIZE_CLASSES])  # (size classes,)
 _HUBER_SIGMA = 2.0  # residual in standard deviations beyond which measurements are down-weighted (Huber)
 _MAX_HEIGHT_SIGMA = 0.05  # largest relative standard deviation of a measured camera height that counts as known

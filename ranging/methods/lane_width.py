@@ -81,11 +81,7 @@ _LATERAL_RANGE = (-1.1, 2.1)  # lane widths from the left line: the ego lane, 0 
 _MAX_EXTRAPOLATION, _MIN_EXTRAPOLATION = 2.0, 0.5  # factors of the distances of the farthest and nearest row
 _MIN_WIDTH_PX = 8.0  # smallest usable width of the lane in the image
 _MAX_SIGMA = 0.3  # largest relative standard deviation of a reported distance
-
-_MIN_WIDTH_SIGMA = 0.015
-"""Smallest relative standard deviation of a learnt width, and of what the distances of a calibrated pair share: bias of
-the bottom edges of boxes, alignment of the pair."""
-
+_MIN_WIDTH_SIGMA = 0.015  # smallest relative sigma of a learnt width: bias of bottom edges, alignment of the pair
 _MEMORY_S = 30.0  # time constant with which tracks are forgotten: the lane widens, or is another one
 _FRAMES = 5.0  # frames over which the width at a track is averaged; the errors of more are the same
 _MIN_OWN = 0.4  # smallest fraction of the variance of a distance that belongs to the track

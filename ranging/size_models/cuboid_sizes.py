@@ -29,14 +29,10 @@ from track_range.ranging.size_models.shared_ground import GroundContacts, Ground
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents, DriveState, SizeClass, SizeRanges
 
 KIND = "cuboids"  # value of "kind" in curve files of this model
-
-CLASS_CONFUSION: Mapping[str, Mapping[str, float]] = {
+CLASS_CONFUSION: Mapping[str, Mapping[str, float]] = {  # true classes of a detected one: vans are reported as cars
     "car": {"car": 0.96, "van": 0.04},
     "van": {"van": 0.95, "truck": 0.05},
 }
-"""Probabilities of the true classes of a detected class: detectors report some vans as cars, and KITTI labels
-lorries that are 3 m high as vans."""
-
 _QUANTILES_68 = np.array([0.158655, 0.5, 0.841345])  # median and one standard deviation to either side
 _QUANTILES = np.array([0.02275, 0.158655, 0.841345, 0.97725])  # one and two standard deviations to either side
 _MEDIAN = np.array([0.5])  # under p(log d) / d, which has the smallest expected relative error

@@ -98,8 +98,7 @@ class DriveScale:
     variance: FloatArray = field(default_factory=lambda: np.full(len(SIZE_CLASSES), _PRIOR_VARIANCE))
     _tracks: _Tracks = field(default_factory=lambda: _Tracks(_NO_IDS, _NO_IDS, *np.zeros((4, 0))))
     _corrections: _Corrections = field(default_factory=lambda: _Corrections(_NO_IDS, *np.zeros((3, 0))))
-    _last_s: tuple[float, float] = (0.0, 0.0)
-    """Times of the last evidence by references that do not correct their tracks, and that do."""
+    _last_s: tuple[float, float] = (0.0, 0.0)  # of evidence by references that do not correct their tracks; that do
 
     @property
     def n_tracks(self) -> int:

@@ -36,7 +36,7 @@ class _Type(NamedTuple):
     log_sigma: tuple[float, float, float]
 
 
-_TYPES: Mapping[str, Mapping[str, _Type]] = {
+_TYPES: Mapping[str, Mapping[str, _Type]] = {  # body types of the classes
     "car": {
         "saloon": _Type((1.46, 1.79, 4.50), (0.035, 0.04, 0.08)),  # Corolla, Golf, Camry; also estates
         "SUV": _Type((1.70, 1.86, 4.60), (0.05, 0.05, 0.07)),  # RAV4, CR-V, Explorer
@@ -69,14 +69,11 @@ _TYPES: Mapping[str, Mapping[str, _Type]] = {
         "double deck": _Type((4.35, 2.53, 11.5), (0.03, 0.03, 0.08)),
     },
 }
-"""Body types of the classes."""
-
 _TWO_WHEELERS = {
     "bicycle": {"with rider": 0.75, "without rider": 0.25},
     "motorcycle": {"with rider": 0.6, "without rider": 0.4},
 }
-
-_FRACTIONS: Mapping[Region, Mapping[str, Mapping[str, float]]] = {
+_FRACTIONS: Mapping[Region, Mapping[str, Mapping[str, float]]] = {  # by region and class; missing = the packaged prior
     "europe": {
         **_TWO_WHEELERS,
         "bus": {"single deck": 0.7, "minibus": 0.1, "coach": 0.2},
@@ -96,8 +93,6 @@ _FRACTIONS: Mapping[Region, Mapping[str, Mapping[str, float]]] = {
         "bus": {"single deck": 0.6, "minibus": 0.2, "double deck": 0.2},
     },
 }
-"""Fractions of the body types by region and class; a class that is missing has the packaged prior."""
-
 _DRIVE_SIGMA: Mapping[Region, Mapping[str, float]] = {
     "europe": {"car": 0.045, "person": 0.05},
     "north-america": {"car": 0.06, "person": 0.05},

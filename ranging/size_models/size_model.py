@@ -278,11 +278,9 @@ def _by_class(values: dict[str, float]) -> FloatArray:
     return np.array([values.get(name, 0.0) for name in SIZE_CLASSES])
 
 
-_NARROW_M = _by_class(
+_NARROW_M = _by_class(  # offsets in m for boxes with an aspect ratio up to 1.5 (rear view), medians over KITTI's labels
     {"person": 0.05, "bicycle": 0.15, "motorcycle": 0.15, "car": 0.03, "van": 0.03, "truck": 0.03, "bus": 0.03}
 )
-"""Offsets in m for boxes with an aspect ratio up to 1.5 (rear view), medians over KITTI's labels."""
-
 _WIDE_M = _by_class(
     {"person": 0.05, "bicycle": 0.3, "motorcycle": 0.3, "car": 0.45, "van": 0.55, "truck": 1.5, "bus": 1.5}
 )
@@ -291,9 +289,7 @@ _WIDE_M = _by_class(
 _DIFFERENCE_M = _WIDE_M - _NARROW_M
 
 
-_OVERHANG_M = _by_class({"car": 0.6, "van": 0.6})
-"""Depth in m of the tyres' contact behind the bumper: overhangs of cars are 0.7 to 0.9 m, the tyre touches the road a
-little before the axle."""
+_OVERHANG_M = _by_class({"car": 0.6, "van": 0.6})  # tyres' contact behind the bumper, m: overhangs are 0.7 to 0.9 m
 
 
 def surface_offset_m(xyxy_px: FloatArray, class_id: IntArray, *, has_visible_boxes: bool = False) -> FloatArray:

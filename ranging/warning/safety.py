@@ -36,10 +36,7 @@ _MIN_EGO_MPS = 0.5  # smallest ego speed of a headway
 _MIN_OWN_MPS = -2.0  # smallest speed along the road of a lead: it does not come towards the ego vehicle
 _LANE_M, _LANE_SIGMA_M = 3.5, 0.3  # width of a lane; standard deviation of the ego path from the middle of its lane
 MAX_GAP_S = 1.0  # longest interruption of a track that counts for TET and TIT
-
-HALF_WIDTH_M = np.array([0.3, 0.3, 0.9, 0.4, 1.25, 1.25, 0.0, 0.0])
-"""(road classes,) half of the typical width of each class, m."""
-
+HALF_WIDTH_M = np.array([0.3, 0.3, 0.9, 0.4, 1.25, 1.25, 0.0, 0.0])  # (road classes,) half the typical width, m
 _IS_ROAD_USER = HALF_WIDTH_M > 0
 _IS_VEHICLE = _IS_ROAD_USER & (np.array(ROAD_CLASSES) != "person")
 

@@ -31,9 +31,7 @@ from track_range.ranging.world.ego_path import EgoPose
 from track_range.stereo.odometry.ego_motion import EgoMotion
 
 MotionState = Literal["parked", "moving", "oncoming", "crossing"]
-MOTION_STATES: tuple[MotionState, ...] = get_args(MotionState)
-"""States of motion by code: at rest, along the ego vehicle's direction, against it, across it."""
-
+MOTION_STATES: tuple[MotionState, ...] = get_args(MotionState)  # codes: at rest, along, against, across
 _PARKED = 0
 _PERSON = ROAD_CLASSES.index("person")
 _RATE_FACTOR = 2.0  # f, as in the collision warning: errors of filtered rates last longer than the filter assumes

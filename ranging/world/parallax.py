@@ -33,9 +33,7 @@ from track_range.stereo.odometry.ego_motion import CameraStep
 from track_range.tracking.tracks import Tracks
 
 _STATIC_CLASSES = ("car", "truck", "bus", "van", "motorcycle", "traffic light", "traffic sign")
-_MAY_BE_STATIC = np.array([name in _STATIC_CLASSES for name in SIZE_CLASSES])
-"""(size classes,) whether objects of the class are often static, and do not move slowly."""
-
+_MAY_BE_STATIC = np.array([name in _STATIC_CLASSES for name in SIZE_CLASSES])  # (size classes,)
 _N_CORNERS, _MIN_CORNERS = 12, 4  # largest number of corners per object, and smallest number of a measurement
 _MIN_QUALITY, _MIN_DISTANCE_PX = 0.02, 3  # of corners relative to the best in the box, and between corners
 _INNER = 0.12  # margin of the box, as a fraction of its sides, that may show the background

@@ -19,8 +19,8 @@ from track_range.stereo.geometry.lenses import LENSES, PINHOLE
 _SQUARE = 0.03  # relative difference of fx and fy up to which pixels are used as they are; lenses differ by 0.01
 
 
+# Sizes of recorders that leave out every other column (720N, 1080N, 4M-N, 5M-N, 4K-N); no sensor has them.
 _HALVED_PX = {(640, 720), (960, 1080), (1280, 1440), (1296, 1944), (1920, 2160)}
-"""Sizes of recorders that leave out every other column (720N, 1080N, 4M-N, 5M-N, 4K-N); no sensor has them."""
 
 
 def pixel_aspect_of(size_px: tuple[int, int], stated: float | None) -> float:

@@ -172,10 +172,9 @@ def _unified_undistort(m: FloatArray, coefficients: Sequence[float]) -> FloatArr
 
 
 PINHOLE, KANNALA_BRANDT = "pinhole", "kannala-brandt"  # names of the default, and of OpenCV's fisheye model
-LENSES: dict[str, Lens] = {
+LENSES: dict[str, Lens] = {  # the lens models by their names in rig.yaml
     PINHOLE: Lens(("k1", "k2", "p1", "p2", "..."), _pinhole_distort, _pinhole_undistort, is_wide=False),
     KANNALA_BRANDT: Lens(("k1", "k2", "k3", "k4"), _fisheye_distort, _fisheye_undistort),
     "double-sphere": Lens(("xi", "alpha"), _double_sphere_distort, _double_sphere_undistort),
     "omni": Lens(("xi", "k1", "k2", "p1", "p2"), _unified_distort, _unified_undistort),
 }
-"""The lens models by their names in rig.yaml."""

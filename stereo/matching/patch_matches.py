@@ -25,7 +25,7 @@ class Outcome(IntEnum):
     NO_FIT = 7
 
 
-REASONS: dict[Outcome, str] = {
+REASONS: dict[Outcome, str] = {  # descriptions of the outcomes for the user
     Outcome.MATCHED: "matched",
     Outcome.OUTSIDE: "outside the image, or not finite",
     Outcome.TOO_SMALL: "too small",
@@ -35,7 +35,6 @@ REASONS: dict[Outcome, str] = {
     Outcome.OUT_OF_RANGE: "disparity at the end of the search range",
     Outcome.NO_FIT: "no match in the right image",
 }
-"""Descriptions of the outcomes for the user."""
 
 
 @dataclass(frozen=True, slots=True)

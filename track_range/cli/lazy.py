@@ -14,8 +14,7 @@ from typing import Any, ClassVar, NamedTuple
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-_OPTION_COLUMNS = 26
-"""Maximum width of the first column in characters; the text of an option with a longer name begins on the next line."""
+_OPTION_COLUMNS = 26  # largest width of the first column, in characters; longer names have their text on the next line
 
 
 class HelpPage:

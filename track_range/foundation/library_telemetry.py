@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import os
 
-TELEMETRY_SWITCHES = {
+TELEMETRY_SWITCHES = {  # environment variable, read at a package's import, and the value that disables its telemetry
     # writes a device id and a database of events into the user's cache, and looks up a host to upload them to
     "onnxruntime": ("ORT_DISABLE_TELEMETRY", "1"),
     # reports the cluster, the libraries in use and the operating system
     "ray": ("RAY_USAGE_STATS_ENABLED", "0"),
 }
-"""Environment variable, read at the import of a package, and the value that disables the package's telemetry."""
-
 _CLOSED_PORT = "http://127.0.0.1:9"  # address at which nothing listens (the discard port)
 
 VIEWER_VARIABLES = {

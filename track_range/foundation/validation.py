@@ -76,8 +76,7 @@ def first_problem(error: ValidationError) -> tuple[str, str]:
 
 
 _MAX_PROBLEM = 200  # characters of the description of a problem
-
-_EXPECTED = {
+_EXPECTED = {  # by pydantic's type of error
     "greater_than": "a number above {gt}",
     "greater_than_equal": "a number of at least {ge}",
     "less_than": "a number below {lt}",
@@ -102,4 +101,3 @@ _EXPECTED = {
     "too_short": "at least {min_length} values",
     "too_long": "at most {max_length} values",
 }
-"""Expected values by pydantic's type of error."""

@@ -20,9 +20,7 @@ _NEUTRAL_DIFFERENCE, _NEUTRAL_FRACTION = 8, 0.999
 image without colour, which is assumed; lossy chroma of grey videos differs by 1 to 3."""
 
 UPRIGHT = (1, 0, 0, 1)  # axes of an image that needs no rotation
-
-_reformatters = threading.local()
-"""One converter of colours per thread; its buffers are reused while the size and format of the frames remain."""
+_reformatters = threading.local()  # one converter of colours per thread, whose buffers are reused
 
 
 class VideoError(UserError):

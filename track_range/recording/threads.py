@@ -12,8 +12,7 @@ from __future__ import annotations
 
 from track_range.foundation.processes import n_usable_cores
 
-DECODER_THREADS = 1 if n_usable_cores() <= 2 else 2
-"""FFmpeg's threads per video; few, since left and right are decoded in parallel with each other and with a detector."""
+DECODER_THREADS = 1 if n_usable_cores() <= 2 else 2  # FFmpeg's per video; few, as two videos are decoded in parallel
 
 # Frames decoded ahead per video of a pair, and frames that wait for the check of synchronisation (at first twice as
 # many); a frame of 1242x375 px takes 1.4 MB.

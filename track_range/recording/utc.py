@@ -26,17 +26,14 @@ _AGREEMENT_S = 5.0  # largest difference between times of a header and a name th
 _EARLIEST, _LATEST = datetime(1990, 1, 1, tzinfo=UTC), datetime(2100, 1, 1, tzinfo=UTC)
 """Range of plausible times; headers without a time often state 1904 or 1970."""
 
-_TIME_IN_NAME = re.compile(
+_TIME_IN_NAME = re.compile(  # 20260131_142530, 2026-01-31_14-25-30, 2026_0131_142530, 20260131T142530Z
     r"(?<!\d)((?:19|20)\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])"
     r"(?:[-_.T ]{1,3}|[ _]at[ _])?"
     r"([01]\d|2[0-3])[-_.:h]?([0-5]\d)[-_.:m]?([0-5]\d)(?:\.?(\d{3}))?(?!\d)(?:(Z)|([+-]\d{4})(?!\d))?"
 )
-"""Date and time in the name of a file: 20260131_142530, 2026-01-31_14-25-30, 2026_0131_142530, 20260131T142530Z."""
-
-_SHORT_TIME_IN_NAME = re.compile(
+_SHORT_TIME_IN_NAME = re.compile(  # of 2010 to 2049, as Nextbase and 70mai write it: 260131_142530
     r"(?<!\d)([1-4]\d)(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])[-_]([01]\d|2[0-3])([0-5]\d)([0-5]\d)(?!\d)"
 )
-"""The same with a year of two digits, 2010 to 2049, as Nextbase and 70mai write it: 260131_142530."""
 
 
 _STATED = "--start-utc"  # source of a time that the user states

@@ -27,13 +27,9 @@ if TYPE_CHECKING:
 
 Columns = Mapping[str, npt.NDArray[Any]]  # rows by column: `TEXT_COLUMNS` as str, others float64, NaN = not measured
 FrameValues = list[npt.NDArray[Any]]  # values of the rows of one frame, not rounded: one (N,) array per column
-
-MAX_COLUMNS = 1000
-"""Largest number of columns that is read; runs with all methods have fewer than 100, and pyarrow is slow with more."""
-
+MAX_COLUMNS = 1000  # that are read; runs with all methods have fewer than 100, and pyarrow is slow with more
 MAX_CLASS = 200  # largest number of characters of a class name that is read
-
-SAFETY_UNITS: Mapping[str, str] = {
+SAFETY_UNITS: Mapping[str, str] = {  # unit of the columns of `SafetyMeasures` that are numbers
     "gap_m": "m",
     "ttc_front_s": "s",
     "headway_s": "s",
@@ -44,8 +40,6 @@ SAFETY_UNITS: Mapping[str, str] = {
     "lane_index": "",
     "lane_index_sigma": "",
 }
-"""Unit of the columns of `SafetyMeasures` that are numbers."""
-
 TEXT_COLUMNS = ("class", "state")  # columns of names, "" = unknown; all others are numbers
 
 _TYPES = {"whole": np.int64, "number": np.float64, "flag": np.bool_, "name": np.int8}

@@ -67,10 +67,7 @@ _MAX_TRACK_ID = 2.0**53  # up to which all integers are exact in float64
 _MAX_SUMMARY_BYTES = 50_000_000  # that of a long run has less than 1 MB
 _MAX_NAMED = 5  # values of wrong types that a note names
 _MAX_BEYOND_S = 1.0  # tolerance for events after the last row or the end of the video
-
-DEFAULT_FPS, _MAX_FPS = 10.0, 10_000.0
-"""Frame rate where settings.yaml has none, as for folders of images, and largest plausible one."""
-
+DEFAULT_FPS, _MAX_FPS = 10.0, 10_000.0  # without a rate in settings.yaml, as for folders; largest plausible rate
 _INPUTS = ("mono", "rig", "focal_px", "detector", "detections", "curves", "truth")  # settings that are inputs of a run
 
 

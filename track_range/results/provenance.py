@@ -24,8 +24,7 @@ _NOT_HASHED = frozenset(  # settings of the output files, which do not affect th
 )
 
 _MODEL = ("detector", "detections")
-_RIG = ("focal_px", "baseline_m", "image_size_px")
-"""Properties of the model and of the calibration in section `found` of settings.yaml."""
+_RIG = ("focal_px", "baseline_m", "image_size_px")  # in section `found` of settings.yaml
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -20,17 +20,14 @@ from track_range.results.formats.poses_file import Poses, read_poses
 
 _SMALLEST, _LARGEST = ("gap_m", "headway_s", "ttc_front_s"), ("drac_mps2", "mdrac_mps2")
 _CLIP = "clip="  # start of the folder of a clip's rows in those of a fleet
-
-EXTREMES = {**dict.fromkeys(_SMALLEST, "min"), **dict.fromkeys(_LARGEST, "max")}
-"""Which extreme of each column of the rows is listed, as `min_gap_m` and `min_gap_m_at_s`."""
+EXTREMES = {**dict.fromkeys(_SMALLEST, "min"), **dict.fromkeys(_LARGEST, "max")}  # as `min_gap_m` and `min_gap_m_at_s`
 
 
-COLUMNS = (
+COLUMNS = (  # keys of a row, in order
     *("clip", "track_id", "class", "state", "from_s", "to_s", "lead_s"),
     *(f"{kind}_{key}{end}" for key, kind in EXTREMES.items() for end in ("", "_at_s")),
     *("tet_s", "tit_s2", "pet_s"),
 )
-"""Keys of a row, in order."""
 
 
 def surrogate_rows(source: Path) -> list[dict[str, Any]]:

@@ -238,7 +238,7 @@ class RunSettings(OutputOptions, PipelineOptions, InputOptions):
         return self.stereo is not None and self.sgbm
 
 
-_CONTRADICTIONS: tuple[tuple[Callable[[RunSettings], bool], str], ...] = (
+_CONTRADICTIONS: tuple[tuple[Callable[[RunSettings], bool], str], ...] = (  # whether they do, and what to do instead
     (lambda run: len(run.videos) == 0, "give either --stereo LEFT RIGHT or --mono VIDEO"),
     (lambda run: None not in (run.stereo, run.mono), "give either --stereo LEFT RIGHT or --mono VIDEO"),
     (lambda run: len(run.videos) == 1 and len(run.topics) > 1, "--topics: expected 1 topic, got {n}"),
@@ -284,4 +284,3 @@ _CONTRADICTIONS: tuple[tuple[Callable[[RunSettings], bool], str], ...] = (
         "--disparity shows dense stereo: it requires --stereo, and cannot be combined with --no-sgbm",
     ),
 )
-"""Options that contradict each other: whether settings do, and what to do instead; the first one is reported."""

@@ -24,9 +24,7 @@ from track_range.run.settings import RunSettings
 
 VIEWS_FILE = "views.csv"
 _MAX_DEG = 120.0  # largest angle of a view to the camera's axis, as of --yaw-deg
-_SAME_OVERLAP = 0.6
-"""Fraction of the smaller of two boxes in the recorded image that is inside the larger one, from which tracks of
-two views with the same class are the same object; the edge of a view may cut a box."""
+_SAME_OVERLAP = 0.6  # of the smaller box in the recorded image, from which tracks of two views are one; views cut boxes
 _EDGES = ("x1_px", "y1_px", "x2_px", "y2_px")
 _NUMBERS = ("frame", *_EDGES, "azimuth_deg")  # columns that are compared
 

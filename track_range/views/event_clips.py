@@ -32,9 +32,7 @@ from track_range.views.overlay.result_video import QUANTIZER
 from track_range.views.video_writer import VideoWriter
 
 BEFORE_S, AFTER_S = 3.0, 2.0  # time before the start and after the end of an event that its clip shows, s
-
-MAX_CLIP_S = 30.0
-"""Largest duration of a clip, s; that of a longer event shows two thirds of it before the peak and a third after."""
+MAX_CLIP_S = 30.0  # of a clip; that of a longer event has two thirds before the peak
 
 
 def write_clips(overlay: Path, events: Sequence[Event], folder: Path, *, starts_s: float) -> tuple[Path, ...]:

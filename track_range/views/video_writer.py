@@ -34,9 +34,7 @@ _MUXER_OPTIONS = {"movflags": "empty_moov+default_base_moof+frag_every_frame", "
 MAX_HELD_FRAMES = 1  # number of frames that the muxer holds, and that a kill therefore loses
 _BT601 = 5  # FFmpeg's AVCOL_SPC_BT470BG, the colour space of OpenCV's I420 conversion; players need it in the header
 _LIMITED_RANGE = 1  # FFmpeg's AVCOL_RANGE_MPEG: luma from 16 to 235
-
-_LAST_BOXES = (b"moov", b"mdat")
-"""Types of the boxes with which the header and each fragment (moof, mdat) of an MP4 file end."""
+_LAST_BOXES = (b"moov", b"mdat")  # box types that end the header and each fragment of an MP4 file
 
 
 class VideoWriter:

@@ -28,14 +28,11 @@ from track_range.tracking.evaluation.tracked_boxes import TrackedBoxes
 _MIN_IOU = 0.5  # minimum IoU of a match
 _MIN_FRACTION_IGNORED = 0.5  # fraction of a result box inside a DontCare region above which it is dropped
 _EPSILON = float(np.finfo(np.float64).eps)  # tolerance of comparisons, as in TrackEval
-
-KITTI_TYPES: Mapping[str, tuple[str, tuple[str, ...]]] = {
+KITTI_TYPES: Mapping[str, tuple[str, tuple[str, ...]]] = {  # by road class: KITTI's and its neighbouring types
     "car": ("Car", ("Van",)),
     "person": ("Pedestrian", ("Person", "Person_sitting")),
     "bicycle": ("Cyclist", ()),
 }
-"""By road class: KITTI's type and its neighbouring types. KITTI's benchmark ranks cars and pedestrians only."""
-
 _MAX_OCCLUDED, _MAX_TRUNCATED = 2, 0.0  # largest occlusion level and truncation of KITTI's truth that counts
 MIN_HEIGHT_PX = 25.0  # height up to which KITTI ignores unmatched results
 _MOT_PEDESTRIAN = 1  # MOTChallenge's class number of pedestrians

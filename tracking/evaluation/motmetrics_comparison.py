@@ -15,7 +15,7 @@ import numpy as np
 from track_range.tracking.evaluation.clear import MIN_IOU
 from track_range.tracking.evaluation.tracked_boxes import Similarity
 
-_METRICS: Mapping[str, str] = {
+_METRICS: Mapping[str, str] = {  # motmetrics' names of the fields of `TrackingScores`, where it has them
     "mota": "mota",
     "motp": "motp",
     "idf1": "idf1",
@@ -29,8 +29,6 @@ _METRICS: Mapping[str, str] = {
     "pt": "partially_tracked",
     "ml": "mostly_lost",
 }
-"""motmetrics' names of the fields of `TrackingScores`, where it has them."""
-
 _RATIOS = ("mota", "motp", "idf1", "idp", "idr")  # in per cent in `TrackingScores`, fractions in motmetrics
 
 _MATCHING = (
@@ -42,8 +40,7 @@ _EIGHTY_PER_CENT = (
     "a truth track matched in exactly 80 % of its frames counts as mostly tracked in motmetrics only; different "
     "pairs may be matched, see IDsw"
 )
-
-REASONS: Mapping[str, str] = {
+REASONS: Mapping[str, str] = {  # why motmetrics' score may differ, by field of `TrackingScores`
     "mota": "follows from IDsw, FP and FN",
     "motp": _MATCHING,
     "idf1": "the definitions agree",
@@ -60,7 +57,6 @@ REASONS: Mapping[str, str] = {
     "pt": _EIGHTY_PER_CENT,
     "ml": _MATCHING,
 }
-"""Why motmetrics' score may differ, by field of `TrackingScores`."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,7 +37,7 @@ OPTIONAL = ("visible_share", "closing_mps")
 DONT_CARE = "dontcare"  # class of regions that are not evaluated
 _BOX = ("x1", "y1", "x2", "y2")
 _MAX_SPEED_MPS = 1e3
-_PLAUSIBLE = {
+_PLAUSIBLE = {  # smallest and largest value of each column, and the expected value for messages
     "frame": (0.0, MAX_FRAME, "an integer from 0"),
     "id": (0.0, MAX_ID, "an integer from 0"),
     **dict.fromkeys(_BOX, (-MAX_COORDINATE_PX, MAX_COORDINATE_PX, "a number of pixels")),
@@ -45,7 +45,6 @@ _PLAUSIBLE = {
     "visible_share": (0.0, 1.0, "a number from 0 to 1, or an empty cell"),
     "closing_mps": (-_MAX_SPEED_MPS, _MAX_SPEED_MPS, "a speed in m/s, or an empty cell if unknown"),
 }
-"""Smallest and largest value of each column, and the expected value for messages."""
 
 
 @dataclass(frozen=True, slots=True)

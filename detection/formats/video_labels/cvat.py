@@ -51,11 +51,8 @@ _MAX_META = 10_000  # elements of `meta` that are used
 _SHAPES = frozenset({"polygon", "polyline", "points", "mask", "cuboid", "ellipse", "skeleton"})  # not boxes: refused
 _EDGES = ("xtl", "ytl", "xbr", "ybr")
 _FLAGS = {"0": False, "1": True, "false": False, "true": True}
-
+# Largest differences between a written box and its interpolation: of an edge (the larger of both), of the distance.
 _TOLERANCE_PX, _TOLERANCE_OF_SIZE, _TOLERANCE_OF_DISTANCE = 1.0, 0.02, 0.02
-"""Largest difference between a written box and its interpolation: of an edge in px or as a fraction of the box's longer
-side, whichever is larger, and of the distance as a fraction of it."""
-
 _MAX_STEP = 50  # largest number of boxes from one keyframe to the next, which limits the time to choose them
 _LIMITS = {"distance_m": (0.0, MAX_DISTANCE_M), "sigma_m": (0.0, MAX_DISTANCE_M), "score": (-1e6, 1e6)}  # of numbers
 _DECIMALS = {"distance_m": 3, "sigma_m": 3, "score": 4}
@@ -354,13 +351,12 @@ def _meta_lines(table: BoxTable, frames: range) -> Iterator[str]:
     yield "    </track_range>\n  </meta>\n"
 
 
-CVAT_ATTRIBUTES = (
+CVAT_ATTRIBUTES = (  # name, input type and default value of the attributes that the labels of a task in CVAT need
     ("distance_m", "text", ""),
     ("sigma_m", "text", ""),
     ("score", "text", ""),
     ("predicted", "checkbox", "false"),
 )
-"""Name, input type and default value of the attributes that the labels of a task in CVAT need."""
 
 
 def _track_lines(rows: BoxTable, track_id: int, n_frames: int) -> Iterator[str]:

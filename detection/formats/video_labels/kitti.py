@@ -33,8 +33,7 @@ _TRACKING_COLUMNS, _OBJECT_COLUMNS = 17, 15  # without the score
 _MAX_TYPE = 64  # characters
 _SEPARATOR = re.compile(r"[\s,]")  # not in types: white space, and the comma, which KITTI's files do not have
 _MAX_VALUE = 1e6  # largest absolute value in metres, radians, or of a score; -1000 = unknown
-
-_LIMITS = (
+_LIMITS = (  # smallest and largest value of each column without the type, and the expected value for messages
     (0, MAX_FRAME, f"an integer from 0 to {MAX_FRAME} as the frame number"),
     (-MAX_ID, MAX_ID, "an integer as the track id"),
     (-_MAX_VALUE, _MAX_VALUE, f"finite numbers up to {_MAX_VALUE:,.0f}"),
@@ -43,8 +42,6 @@ _LIMITS = (
     *[(-MAX_COORDINATE_PX, MAX_COORDINATE_PX, f"pixels up to {MAX_COORDINATE_PX:g} as the box")] * 4,
     *[(-_MAX_VALUE, _MAX_VALUE, f"finite numbers up to {_MAX_VALUE:,.0f}")] * 8,
 )
-"""Smallest and largest value of each column without the type, and the expected value for messages."""
-
 _LOW, _HIGH = (np.array(limits, np.float64) for limits in list(zip(*_LIMITS, strict=True))[:2])
 _INTEGERS = [0, 1, 3]  # columns: frame, track id, occlusion
 

@@ -21,15 +21,11 @@ from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, check_regular, quoted
 from track_range.foundation.schema_version import check_schema_version
 
-# fmt: off
-_MOT_CLASSES: Mapping[int, str] = {
+_MOT_CLASSES: Mapping[int, str] = {  # MOT16's and MOT20's class numbers (Milan et al., 2016, table 3); 0 = no classes
     0: "", 1: "pedestrian", 2: "person on vehicle", 3: "car", 4: "bicycle", 5: "motorbike", 6: "non motorized vehicle",
     7: "static person", 8: "distractor", 9: "occluder", 10: "occluder on the ground", 11: "occluder full",
     12: "reflection", 13: "crowd",
-}
-# fmt: on
-"""Names of MOT16's and MOT20's class numbers (Milan et al., "MOT16", 2016, table 3); 0 = the file has no classes."""
-
+}  # fmt: skip
 _UNKNOWN_M = -999.0  # KITTI's coordinates up to this value (-1000) are unknown
 _COLUMNS = ("frame", "track_id", "score", "observed", "x1_px", "y1_px", "x2_px", "y2_px")
 _DISTANCES = ("fused_m", "fused_sigma_m")

@@ -17,12 +17,11 @@ from track_range.detection.models.metadata import Anchors
 from track_range.detection.training.networks.blocks import C3, ConvolutionBlock, Sppf
 from track_range.detection.training.networks.network import AnchorNetwork
 
-COCO_ANCHORS_PX: Anchors = (
+COCO_ANCHORS_PX: Anchors = (  # YOLOv5's default anchors in input pixels, for COCO at 640 pixels
     ((10, 13), (16, 30), (33, 23)),
     ((30, 61), (62, 45), (59, 119)),
     ((116, 90), (156, 198), (373, 326)),
 )
-"""YOLOv5's default anchors in input pixels, for COCO at 640 pixels."""
 
 
 SCALES = {"yolov5n": (0.33, 0.25), "yolov5s": (0.33, 0.50)}  # depth and width as multiples of those of YOLOv5l

@@ -44,15 +44,9 @@ from track_range.ranging.size_models.size_model import (
 from track_range.stereo.geometry.camera import PinholeCamera
 
 _Real = TypeVar("_Real", float, FloatArray)
-
-PARAMETERS = ("focal length", "camera height", "horizon", "roll", "size ratio")
-"""Names of the parameters theta, in their order."""
-
+PARAMETERS = ("focal length", "camera height", "horizon", "roll", "size ratio")  # theta, in this order
 _LOG_F, _LOG_H, _Y0, _ROLL, _SIZE = range(len(PARAMETERS))
-
-HEIGHT_M, HEIGHT_SIGMA = 1.5, 0.2
-"""Prior of the camera height, and its relative standard deviation: 1.2 m (cars) to 1.9 m (vans)."""
-
+HEIGHT_M, HEIGHT_SIGMA = 1.5, 0.2  # prior of the camera height, and its relative sigma: 1.2 m (cars) to 1.9 m (vans)
 PITCH_SIGMA_RAD = 0.07  # prior standard deviation of the pitch of the camera, 4 degrees
 _ROLL_SIGMA = 0.02  # prior standard deviation of the tangent of the roll
 _SIZE_SIGMA = 0.04  # of the log ratio of one street's sizes to those of the size model, of KITTI's drives
@@ -61,10 +55,7 @@ _SHAPE_SIGMA = 0.015  # of the ratio of a box to a known height or width: object
 _PITCHING_RAD = 0.004  # standard deviation of pitch and slope of the road at one time about those of the drive
 _KERB_M = 0.1  # standard deviation of the height of contact points above the road
 _VIEWS_PER_TRACK = 1.5  # number of independent views that the views of one object count as at most
-
-_CAUCHY = 2.0
-"""Scale of Cauchy's loss of other road users and horizon rows (kerbs taken for lane lines), in standard deviations."""
-
+_CAUCHY = 2.0  # scale of Cauchy's loss of other road users and horizon rows (kerbs taken for lane lines), in sigmas
 _STANDS = np.isin(SIZE_CLASSES, ("person", "bicycle", "car", "motorcycle", "bus", "truck", "van"))
 """(size classes,) whether objects of the class are on the road."""
 

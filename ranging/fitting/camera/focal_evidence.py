@@ -52,12 +52,8 @@ _ROUNDED = 0.05
 KITTI's labels (+0.09) and on rendered drives with the packaged detector, seeds 200-202 (+0.11); exact cuboids have
 -0.05."""
 
-_OUTLIER_FRACTION, _OUTLIER_NOISE = 0.1, 0.4
-"""Fraction of boxes of another kind (partly hidden, of another class), and the standard deviation of their edges."""
-
-_SHAPE_CLASSES = np.isin(SIZE_CLASSES, ("car", "van"))
-"""(size classes,) whether the lengths of the objects are known well enough."""
-
+_OUTLIER_FRACTION, _OUTLIER_NOISE = 0.1, 0.4  # of boxes that are hidden or of another class; sigma of their edges
+_SHAPE_CLASSES = np.isin(SIZE_CLASSES, ("car", "van"))  # (size classes,) whether lengths are known well enough
 _MIN_HEIGHT_PX = 30.0  # height of a box below which its shape is mostly noise
 _FLAT_LOG_SIGMA = 30.0  # standard deviation of the log distance without a prior of the distance
 

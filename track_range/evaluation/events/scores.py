@@ -85,12 +85,10 @@ TOLERANCE_S = 1.0  # largest time between a labelled event and one that matches 
 
 _COUNTS = ("hits", "misses", "false_alarms")
 _NO_MATCH = 1e9  # cost of a pair that does not match
-
-_GROUPS = {
+_GROUPS = {  # group by road class; the others are separate
     **dict.fromkeys(("bicycle", "motorcycle"), "two-wheeler"),
     **dict.fromkeys(("car", "bus", "truck"), "vehicle"),
 }
-"""Group by road class; the others are separate."""
 
 
 def is_warning(event: Event) -> bool:

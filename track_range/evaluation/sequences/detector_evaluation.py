@@ -31,22 +31,18 @@ from track_range.run.options.opened import DetectorOptions, open_detector, thres
 
 LOWEST_SCORE = 0.001  # lowest confidence of the boxes for average precision, as usual for COCO
 WORKING_SCORE = 0.25  # default confidence for precision and recall
-
-PROTOCOL = (
+PROTOCOL = (  # description of the measurement for the results
     "COCO AP (101 points, at most 100 boxes per image and class) of boxes with a score of at least 0.001 after the "
     "detector's non-maximum suppression; precision and recall at IoU 0.5 and the confidence threshold; by size: labels "
     "and unmatched boxes outside of a bin are ignored, sizes in pixels of the image, COCO's bins of area; calibration: "
     "boxes with a score of at least 0.05, matched at IoU 0.5, in 10 bins of the score; median ms per image, with all "
     "detectors run in turn on each image"
 )
-"""Description of the measurement for the results."""
-
-_DETAIL_NOTES = (
+_DETAIL_NOTES = (  # explanations of the tables by size and of calibration
     f"By size: means over the classes with at least {MIN_BOXES} boxes, {MIN_BIN_BOXES} of them in the bin.",
     f"Calibration of scores of {MIN_SCORE} or more: ECE is the mean difference between score and precision in bins of "
     "the score, chance the ECE to be expected of calibrated scores in the same number.",
 )
-"""Explanations of the tables by size and of calibration."""
 
 
 @dataclass(slots=True)

@@ -158,10 +158,9 @@ def _value_of(section: Mapping[str, str], key: str, limits: tuple[float, float],
     return value
 
 
-_INFO_LIMITS = {
+_INFO_LIMITS = {  # smallest and largest value of each key of seqinfo.ini
     "frameRate": (0.001, 10_000.0),
     "seqLength": (1.0, float(MAX_FRAME)),
     "imWidth": (1.0, 65535.0),
     "imHeight": (1.0, 65535.0),
 }
-"""Smallest and largest value of each key of seqinfo.ini."""

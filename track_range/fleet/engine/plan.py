@@ -28,11 +28,9 @@ from track_range.run.options.opened import DetectorOptions, open_detector
 from track_range.run.settings import RunSettings
 from track_range.run.settings_files import read_settings, settings_from
 
-_NOT_TAKEN = RunSettings.fields_where(lambda field: option_of(field).instead) | (
+_NOT_TAKEN = RunSettings.fields_where(lambda field: option_of(field).instead) | (  # of clips, or with another meaning
     RunSettings.model_fields.keys() & FleetSettings.model_fields.keys()
 )
-"""Options of a run that belong to its clips, or are options of a fleet with another meaning."""
-
 _OUTPUTS = RunSettings.fields_where(lambda field: option_of(field).is_output)  # not taken from a settings.yaml
 _SHARED_FILES = RunSettings.fields_where(is_file) - _NOT_TAKEN  # that are, or may be, files which all clips share
 

@@ -25,10 +25,7 @@ from track_range.fleet.errors import FleetError
 from track_range.foundation.files.input_files import read_bytes
 from track_range.foundation.processes import is_running, owned_process
 
-CLIPS_PER_PROCESS = 20
-"""Clips after which a process is replaced: a process grows by 20 to 45 MB per clip (free parts of the heaps of its
-threads), and a new one takes 2 s for its imports."""
-
+CLIPS_PER_PROCESS = 20  # then a new process: it grows by 20 to 45 MB per clip, and a new one takes 2 s for imports
 FOLDER_PREFIX = f"track-range-fleet-{platform.node() or 'host'}-"
 
 _COLLECT_S = 3.0  # shortest clip after which free objects are searched, which takes 0.1 s

@@ -66,10 +66,9 @@ class ClipRecord:
 
 
 _GROUPS = ("stages_ms", "coverage", "errors", "alignment", "labels")
-_FIXED: Mapping[str, str] = {
+_FIXED: Mapping[str, str] = {  # annotations of the columns that every clips.parquet has
     column.name: str(column.type) for column in fields(ClipRecord) if column.name not in _GROUPS
 }
-"""Annotations of the columns that every clips.parquet has."""
 
 
 def utc_now() -> str:

@@ -35,8 +35,7 @@ _STATUS_FAULTS: dict[int, StorageFault] = {  # by HTTP status; from 500 on "netw
     **dict.fromkeys((404, 410), "missing"),
     **dict.fromkeys((408, 429), "network"),
 }
-
-_TEXT_FAULTS: dict[StorageFault, str] = {
+_TEXT_FAULTS: dict[StorageFault, str] = {  # of pyarrow's stores by kind; the first that matches counts
     "permission": r"ACCESS_?DENIED|INVALID_\w*(?:KEY|SIGNATURE|TOKEN)|SIGNATURE_DOES_NOT|EXPIRED_?TOKEN|UNAUTHENTICATED"
     r"|MISSING_AUTH|UNRECOGNIZED_CLIENT|NOT_INITIALIZED|PERMISSION_DENIED|status 40[13]|AccountProblem|OAuth2 access",
     "missing": r"\bNO_SUCH_(?:KEY|BUCKET|UPLOAD)|\b(?:RESOURCE_)?NOT_FOUND\b|status 404|Bucket  not found",
@@ -45,16 +44,12 @@ _TEXT_FAULTS: dict[StorageFault, str] = {
     r"|\bREQUEST_TIME|\bDEADLINE_EXCEEDED|\bRESOURCE_EXHAUSTED|\bABORTED\b|\bcurlCode\b|\bCURL error"
     r"|status (?:408|429|5\d\d)|timed? ?out|onnection (?:reset|closed|refused)|resolve host",
 }
-"""Texts of the errors of pyarrow's object stores (AWS, Google Cloud) by kind; the first that matches counts."""
-
 _NAMES = re.compile(r"(?s)^When .*?: (?=AWS Error)|(?<!\w)'.*?'(?!\w)|(?<=No such object: ).*")  # names in such texts
-_NOISE = re.compile(
+_NOISE = re.compile(  # parts of such texts that do not help a user
     r"(?s)^When .*?: (?=AWS Error)|^google::cloud::Status\(|PerformWork\(\) - | error_info=.*|: No response.*"
     r"|(?:Permanent error|Retry policy \w+), with a last message of |curlCode: \d+, (?:.*; Details: )?"
     r"|\s*\(Request ID: .*?\)|\.? Detail: .*"
 )
-"""Parts of such texts that do not help a user: names, the chain of retries, details that repeat the reason."""
-
 _SECRETS = re.compile(
     r"(?i)((?:access.?key(?:.?id)?|secret\w*|token|signature|credential|authorization|password)\s*[=:]\s*)[\w%+/=.~-]+"
 )

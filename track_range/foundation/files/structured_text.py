@@ -20,11 +20,7 @@ from track_range.foundation.files.input_files import MAX_TEXT_BYTES, quoted, rea
 
 MAX_CONTAINERS = 10_000_000  # lists and objects of a JSON file; empty ones take 3 bytes of it and 64 of memory
 MAX_YAML_VALUES = 25_000  # keys and values of a YAML file, which take half a second; 21,000 class names fit
-
-MAX_DEPTH, _MAX_DIGITS = 32, 400
-"""Largest depth of nested lists and mappings, and largest number of characters of a number; float64 has at most 309
-digits before the decimal point."""
-
+MAX_DEPTH, _MAX_DIGITS = 32, 400  # of nested lists and mappings; characters of a number (float64: 309 before the point)
 _TAGS = frozenset(f"tag:yaml.org,2002:{name}" for name in ("null", "bool", "int", "float", "str", "seq", "map"))
 """Tags of the values that JSON has, too; other tags are refused."""
 

@@ -26,7 +26,7 @@ IMAGE_TYPES = (*COMPRESSED_TYPES, *RAW_TYPES, *VIDEO_TYPES)
 CALIBRATION_TYPES = ("sensor_msgs/msg/CameraInfo", "foxglove.CameraCalibration", "foxglove_msgs/msg/CameraCalibration")
 """Types of messages that are read."""
 
-_ENCODINGS: Mapping[str, tuple[int, int | None]] = {
+_ENCODINGS: Mapping[str, tuple[int, int | None]] = {  # bytes per pixel and conversion to BGR; None = none
     "bgr8": (3, None),
     "8UC3": (3, None),
     "rgb8": (3, cv2.COLOR_RGB2BGR),
@@ -45,8 +45,6 @@ _ENCODINGS: Mapping[str, tuple[int, int | None]] = {
     "yuv422_yuy2": (2, cv2.COLOR_YUV2BGR_YUY2),
     "yuyv": (2, cv2.COLOR_YUV2BGR_YUY2),
 }
-"""Bytes per pixel, and OpenCV's conversion to BGR, for each encoding of raw images; None = none is necessary."""
-
 _DEPTH = ("16UC1", "32FC1", "compressedDepth")  # in the encodings of depth images (REP 118)
 _VIDEO_CODECS = {"h264": "h264", "h265": "hevc"}
 

@@ -62,11 +62,7 @@ KNOWN_CAMERAS = (  # the mode of a camera with several fields of view is part of
 )
 
 _FILM_DIAGONAL_MM = 43.27  # diagonal of 36 mm x 24 mm
-
-_FILM_SIGMA = 0.08
-"""Relative standard deviation of a focal length for 35 mm film: it is rounded to mm, refers to the diagonal or the
-width, and stabilised video is cropped."""
-
+_FILM_SIGMA = 0.08  # relative, of a 35 mm focal length: rounded, of diagonal or width, of cropped stabilised video
 _PLAUSIBLE_MM = 8.0, 400.0  # range of focal lengths for 35 mm film
 
 _FILM_KEYS = ("com.apple.quicktime.camera.focal_length.35mm_equivalent", "focallengthin35mmformat")
@@ -75,8 +71,7 @@ _FILM_KEYS = ("com.apple.quicktime.camera.focal_length.35mm_equivalent", "focall
 _MODEL_KEYS = ("com.apple.quicktime.model", "com.android.model", "model", "firmware")
 """Keys of headers that identify the camera."""
 
-_EXIF_FOLDER, _EXIF_FILM_MM, _EXIF_MODEL = 0x8769, 0xA405, 0x0110
-"""EXIF tags: the folder of details, FocalLengthIn35mmFilm in it, and Model."""
+_EXIF_FOLDER, _EXIF_FILM_MM, _EXIF_MODEL = 0x8769, 0xA405, 0x0110  # tags: folder of details, the two in it
 
 
 def focal_guesses(video: RecordedVideo, camera_model: str | None = None) -> tuple[FocalGuess, ...]:

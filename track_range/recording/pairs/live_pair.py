@@ -17,10 +17,7 @@ from track_range.recording.live.live_video import SILENCE_S, LiveVideo
 from track_range.recording.pairs.video_pair import Pair, VideoPair
 
 _SHARED_CLOCK_INTERVALS = 0.25  # largest time difference within a pair, in frame intervals, if both use one clock
-
-_ARRIVAL_INTERVALS = 0.5
-"""Largest time difference within a pair, in frame intervals, if only arrival times are known; every frame then finds a
-partner."""
+_ARRIVAL_INTERVALS = 0.5  # largest time difference within a pair, in frame intervals, if only arrival times are known
 
 
 class LivePair(VideoPair[LiveVideo]):

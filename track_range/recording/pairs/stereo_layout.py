@@ -29,14 +29,12 @@ from track_range.stereo.alignment.pair_finding import find_fault
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 
-_IN_NAMES: dict[str, StereoLayout] = {
+_IN_NAMES: dict[str, StereoLayout] = {  # by parts of file names, as players of 3-D videos read them
     **dict.fromkeys(("sbs", "hsbs", "halfsbs", "lr", "3dh"), "side-by-side"),
     **dict.fromkeys(("rl", "sbsrl"), "right-left"),
     **dict.fromkeys(("tab", "tb", "htab", "ou", "hou", "3dv"), "top-bottom"),
     **dict.fromkeys(("bt",), "bottom-top"),
 }
-"""Layouts by parts of file names, as players of 3-D videos read them."""
-
 _SHOWN: dict[StereoLayout, str] = {
     "side-by-side": "beside each other, the left camera's on the left",
     "right-left": "beside each other, the left camera's on the right",

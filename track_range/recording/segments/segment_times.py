@@ -37,8 +37,7 @@ class SegmentFacts:
     in_name: Stamp | None  # the same in the name
 
 
-Repeated = Callable[[SegmentFacts, SegmentFacts], float]
-"""Function (file, next file) -> length of their overlap in s; 0 = none."""
+Repeated = Callable[[SegmentFacts, SegmentFacts], float]  # overlap of a file and the next one in s; 0 = none
 
 
 @dataclass(frozen=True, slots=True)

@@ -55,8 +55,7 @@ class FoundTelemetry:
     files: tuple[Path, ...] = ()  # the files that were read, besides the videos
 
 
-Read = Callable[[VideoPart], tuple[TelemetryTrack, Path] | None]
-"""Reader of the telemetry of one video file; None = it has none."""
+Read = Callable[[VideoPart], tuple[TelemetryTrack, Path] | None]  # None = the file has no telemetry
 
 
 def candidates(parts: Sequence[VideoPart]) -> Iterator[FoundTelemetry]:

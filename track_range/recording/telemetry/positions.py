@@ -10,14 +10,8 @@ from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.recording.telemetry.track import Clock, TelemetryTrack
 
 EARTH_RADIUS_M = 6_371_008.8  # mean radius of the Earth in metres (IUGG)
-
-MPS_PER_UNIT = {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704, "kn": 1852 / 3600}
-"""Factor from each unit of speed to m/s; a knot is 1852 m per hour."""
-
-_MIN_STEP_S = 0.9
-"""Shortest time between two positions from which a speed is computed: receivers repeat positions between their fixes,
-and at 1 Hz the noise of a position, about 0.2 m from fix to fix, is 0.3 m/s."""
-
+MPS_PER_UNIT = {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704, "kn": 1852 / 3600}  # a knot is 1852 m per hour
+_MIN_STEP_S = 0.9  # shortest time between positions for a speed: receivers repeat them; at 1 Hz, noise is 0.3 m/s
 _POSITION_SPEED_SIGMA_MPS = 0.5  # standard deviation of such speeds; assumed, with the rounding of times to 0.01 s
 MOVING_MPS = 3.0  # speed above which a sample is moving: the noise of positions is small against it
 

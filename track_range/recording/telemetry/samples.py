@@ -16,10 +16,7 @@ from track_range.recording.telemetry.positions import MPS_PER_UNIT, speed_from_p
 from track_range.recording.telemetry.track import Clock, TelemetryTrack
 
 MAX_SAMPLES = 500_000  # largest number of samples read from one file: seven hours at 18 Hz, GoPro's rate
-
-Unit = Literal["known", "assumed", "unknown"]
-"""Whether the unit of a format's speed is documented, assumed from few recordings, or unknown."""
-
+Unit = Literal["known", "assumed", "unknown"]  # how the unit of a format's speed is documented
 _UNIT_TOLERANCE, _MIN_MOVING = 0.06, 5  # difference to speeds from positions, and moving samples, that confirm a unit
 _PACE_TOLERANCE = 0.1  # largest relative difference between the pace of a track and that of the receiver's clock
 _MAX_SPEED_MPS = 120.0  # largest plausible speed, as in the checks of telemetry

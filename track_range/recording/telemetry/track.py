@@ -14,9 +14,7 @@ from track_range.foundation.arrays import BoolArray, FloatArray, check_shape
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.output_files import write_text
 
-Clock = Literal["video", "utc", "local"]
-"""What the times of samples are: seconds from the first frame of the video, or since 1970 in UTC or in local time."""
-
+Clock = Literal["video", "utc", "local"]  # seconds from the first frame of the video, or since 1970
 GPS_SPEED_SIGMA_MPS = 0.2
 """Standard deviation of the speed over ground of GPS receivers in m/s, which they derive from the Doppler shift;
 datasheets of u-blox's M8 to M10 state 0.05 m/s at the median, and dashcams round to 1 km/h or 0.1 kn."""

@@ -55,7 +55,7 @@ class Event:
     peak_probability: float = math.nan
 
 
-EVENT_COLUMNS = (
+EVENT_COLUMNS = (  # of events.csv, in order; `class` is `Event.class_name`, the others are its attributes
     *("kind", "start_s", "peak_s", "end_s", "warning_s", "frame", "track_id", "class"),
     *("min_distance_m", "min_distance_sigma_m", "min_ttc_s", "closing_mps", "ego_mps", "probability", "reason"),
     "headway_s",
@@ -63,7 +63,6 @@ EVENT_COLUMNS = (
     *("gap_m", "drac_mps2", "mdrac_mps2", "tet_s", "tit_s2", "pet_s"),
     *("peak_distance_m", "peak_closing_mps", "peak_ttc_s", "peak_headway_s", "peak_probability"),
 )
-"""Columns of events.csv, in order; `class` is `Event.class_name`, the others have the names of its attributes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

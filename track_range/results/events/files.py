@@ -27,10 +27,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 EVENTS_FILE, EVENTS_PARQUET = "events.csv", "events.parquet"
-
-NEEDED_COLUMNS = ("kind", "start_s", "end_s")
-"""Columns that every file of events has; those written by other programs may lack the others."""
-
+NEEDED_COLUMNS = ("kind", "start_s", "end_s")  # those of other programs may lack the others
 _MAX_TIME_S = 1e9  # 30 years of video
 _MAX_TEXT = 2000
 _MAX_ROWS = 1_000_000  # one event per second for 11 days

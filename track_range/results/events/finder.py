@@ -29,9 +29,7 @@ from track_range.ranging.warning.safety import (
 from track_range.ranging.warning.warnings import Warnings
 from track_range.results.events.event import WARNING_KINDS, Event, EventKind, EventSettings
 
-_NEAR_M, _NEAR_FRACTION = 2.0, 0.15
-"""Largest difference in distance between two tracks of one object: metres, plus a fraction of the distance."""
-
+_NEAR_M, _NEAR_FRACTION = 2.0, 0.15  # largest difference of two tracks of one object: m, plus a fraction
 _NEAR_ACROSS_M = 1.5  # largest lateral difference between two tracks of one object, m
 _SITUATION = ("distance_m", "sigma_m", "closing_mps", "probability", "apart_m")
 _MEASURES = ("gap_m", "ttc_front_s", "headway_s", "drac_mps2", "mdrac_mps2")

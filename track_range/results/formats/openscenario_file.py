@@ -30,7 +30,7 @@ from track_range.results.writers import RunInfo
 SCENARIO_FILE = "run.xosc"
 _EGO = "ego"
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)  # of recordings without UTC, so that the same run gives the same file
-_KINDS: Mapping[str, tuple[str, float]] = {
+_KINDS: Mapping[str, tuple[str, float]] = {  # category and nominal height in m; others are not written
     "person": ("pedestrian", 1.75),
     "bicycle": ("bicycle", 1.7),
     "car": ("car", 1.5),
@@ -38,8 +38,6 @@ _KINDS: Mapping[str, tuple[str, float]] = {
     "bus": ("bus", 3.1),
     "truck": ("truck", 3.3),
 }
-"""Category, and nominal height in m, by class; others are not written."""
-
 _IS_WRITTEN = np.array([name in _KINDS for name in ROAD_CLASSES])
 
 

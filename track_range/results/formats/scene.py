@@ -23,18 +23,15 @@ CAMERA_FRAME, VEHICLE_FRAME, MAP_FRAME = "camera", "vehicle", "map"
 """Coordinate frames: camera (x right, y down, z forward), vehicle at the same place (x forward, y left, z up), and the
 world of `EgoPose`, in which the vehicle moves."""
 
-VEHICLE_FROM_CAMERA_XYZW = (-0.5, 0.5, -0.5, 0.5)
-"""Unit quaternion that rotates vectors of the camera frame into the vehicle frame."""
-
+VEHICLE_FROM_CAMERA_XYZW = (-0.5, 0.5, -0.5, 0.5)  # quaternion that rotates vectors from camera to vehicle
 LENGTH_M = dict(zip(ROAD_CLASSES, (0.5, 1.7, 4.2, 2.1, 11.0, 8.0, 0.3, 0.1), strict=True))
 """Nominal length of each class, m, since an image shows only width and height; typical sizes."""
 
 
-FIGURES = (
+FIGURES = (  # numbers of a track that may be unknown
     *("distance_m", "sigma_m", "closing_mps", "closing_sigma_mps", "ttc_s"),
     *("speed_mps", "speed_sigma_mps", "heading_deg", "world_x_m", "world_y_m"),
 )
-"""Numbers of a track that may be unknown."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,12 +15,10 @@ from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.simulation.world.truth import joined
 
-DETECTED_TYPES = {
+DETECTED_TYPES = {  # detected type of each KITTI type; other types are not detected
     **{name: name for name in ("Car", "Truck", "Bus", "Pedestrian", "Cyclist", "Motorcycle")},
     "Van": "Car",
 }
-"""Detected type of each KITTI type; other types are not detected."""
-
 HIDDEN = 2  # minimum value of KITTI's `occluded` of objects that are not detected
 FALSE_SIZES_PX = {"Car": (60.0, 40.0), "Pedestrian": (22.0, 60.0)}  # mean width and height of false detections by type
 SCORE_FROM, SCORE_TO = 0.3, 0.95  # range of scores

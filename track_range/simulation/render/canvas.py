@@ -19,10 +19,7 @@ from track_range.stereo.geometry.camera import PinholeCamera
 
 OPAQUE_ALPHA = 112  # lowest alpha of an opaque sample, below half: no gaps between pieces of a face
 _OPAQUE_BGRA = np.uint32(OPAQUE_ALPHA << 24)  # in a BGRA sample read as one uint32, alpha is the highest byte
-SHADE_SLACK = 1.03
-"""Largest ratio of a shadow's depth to that of the surface that it darkens; they differ where a curved road is drawn as
-flat pieces."""
-
+SHADE_SLACK = 1.03  # largest ratio of the depths of a shadow and its surface: curved roads are drawn as flat pieces
 _WARP = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
 
 Slices = tuple[slice, slice]

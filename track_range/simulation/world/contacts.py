@@ -34,10 +34,7 @@ from track_range.simulation.world.scene import RoadUser, Scene
 
 EGO_HWL_M = (1.5, 1.8, 4.2)  # height, width and length of the ego vehicle, m: a compact car
 CAMERA_TO_FRONT_M = 1.5  # along the road from the left camera to the front of the ego vehicle: behind the windscreen
-UNBRAKED_S = 4.0
-"""Longest time from the start of braking to a hypothetical contact, s: the horizon of collision warnings (ISO 15623
-warns at most about 4 s ahead)."""
-
+UNBRAKED_S = 4.0  # s from the start of braking to a hypothetical contact: ISO 15623 warns at most about 4 s ahead
 FOLLOWING_GAP_S = 1.0  # smallest gap to a followed vehicle; below it a driver cannot react in time
 STEP_S = 0.005  # time step of the search, s; the contact itself is found by bisection
 PRECISION_S = 1e-6  # precision of the time of contact, s

@@ -23,10 +23,7 @@ FARTHEST_M = 100.0  # distance up to which objects are labelled
 DONT_CARE_BELOW_PX = 10.0  # height of a box, px, below which it becomes a DontCare region
 NEAR_M = 0.1  # depth of the near plane at which 3-D boxes are clipped before projection
 PARTLY_VISIBLE, LARGELY_VISIBLE = 0.5, 0.85  # smallest fractions for KITTI's `occluded` = 1 and 0; below, it is 2
-UNCUT, HALF_CUT = 0.02, 0.5
-"""Minimum fractions outside the image, of the bounding box of the whole projected 3-D box, for KITTI's tracking
-`truncated` = 1 and 2."""
-
+UNCUT, HALF_CUT = 0.02, 0.5  # smallest fractions outside the image, of the projected box, for `truncated` = 1 and 2
 N_RAYS = 12  # number of rays per side of the grid through a box
 DEPTH_SLACK_M, DEPTH_SLACK = 0.3, 0.03  # in m + fraction of the depth, by which a surface hides a 3-D box
 _EDGES = np.array([(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)])

@@ -27,9 +27,7 @@ import numpy.typing as npt
 from track_range.foundation.arrays import Image
 from track_range.views.anonymization.regions import Regions
 
-NOISE_GREY, COLOUR_NOISE_GREY = 8.0, 3.0
-"""Standard deviations of the noise of each cell, common to its colours and separate by colour, grey levels."""
-
+NOISE_GREY, COLOUR_NOISE_GREY = 8.0, 3.0  # sigmas of each cell's noise, common and by colour, grey levels
 STEP_GREY = 16  # quantization step, grey levels
 _FINE = 4  # samples per cell and axis before the low-pass filter
 

@@ -24,16 +24,11 @@ from track_range.views.anonymization.blur import blurred
 from track_range.views.anonymization.regions import Boxes, Regions, regions_of
 
 PAST_S = 0.5  # time for which a track is extrapolated after its last box, and after which boxes are forgotten
-
-GROWTH_PER_S = 0.6
-"""Increase of the uncertainty of a box with the time to the nearest detection, relative to its smaller side."""
-
+GROWTH_PER_S = 0.6  # growth of the uncertainty of a box with the time to the nearest detection, of its smaller side
 SPEED_FRACTION = 0.5  # uncertainty of the speed of an extrapolated box, as a fraction of its speed
 SPEED_TIME_S = 0.35  # longest time over which the speed of a box is measured
 NEIGHBOUR_S = 0.15  # longest time by which detections without a track are covered earlier and later
-
-SAME_IOU, EQUAL_IOU = 0.3, 0.9
-"""Minimum IoU of two boxes of the same object in neighbouring frames, and of boxes with nearly equal regions."""
+SAME_IOU, EQUAL_IOU = 0.3, 0.9  # of boxes of one object in neighbouring frames; of boxes with nearly equal regions
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -19,40 +19,22 @@ import numpy as np
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
 
-HEAD_FRACTION = 0.22
-"""Height of a head with neck, as a fraction of a person's height; a head with neck is 0.155 of the body."""
-
-ABOVE_PERSON = 0.15
-"""Height of the head region above a person's box, as a fraction of the person's height: boxes of the packaged detector
-sometimes start below the head."""
-
-STANDING_RATIO = 2.2
-"""Minimum ratio of a person's height to the width of the box; boxes that are less high show only the upper body."""
-
-RIDER_FRACTION = 0.36
-"""Height of the rider's head region below the upper edge of the box of a bicycle or motorcycle, relative to the box."""
-
+HEAD_FRACTION = 0.22  # head with neck / height of a person; 0.155 of the body, and a margin
+ABOVE_PERSON = 0.15  # head region above a person's box / height: boxes of the packaged detector may begin lower
+STANDING_RATIO = 2.2  # smallest height / width of a box that shows more than the upper body
+RIDER_FRACTION = 0.36  # of a box of a bicycle or motorcycle, from its top: the rider's head region
 ABOVE_BICYCLE, ABOVE_MOTORCYCLE = 0.75, 0.5
 """Height of the rider's head region above the box of a bicycle or motorcycle, relative to the box: a rider is 1.75
 times as high as a bicycle, and 1.45 times as high as a motorcycle."""
 
-PLATE_FROM, LARGE_VEHICLE_PLATE_FROM, PLATE_TO = 0.42, 0.5, 0.96
-"""Upper edge of the plate region of cars and motorcycles, and of buses and trucks, and lower edge of both, as fractions
-of the box height from the top."""
-
+PLATE_FROM, LARGE_VEHICLE_PLATE_FROM, PLATE_TO = 0.42, 0.5, 0.96  # of the box height from the top
 FRONTAL_RATIO, FRONTAL_SIDE = 1.2, 0.12
 """Ratio of width to height below which a car is seen from the front or rear, and fraction of the width at each side
 where it then has no plate."""
 
 MARGIN_FRACTION, MARGIN_PX = 0.05, 1.5  # tolerance of the edges of a box: fraction of the smaller side, and pixels
-
-HEAD_CELL = 0.05
-"""Cell size of the mosaic relative to a person's height: about 3 cells over the height of a head, 2 over its width."""
-
-PLATE_CELL, LARGE_VEHICLE_PLATE_CELL = 0.12, 0.08
-"""Cell size relative to the height of a vehicle, and of a bus or truck: at most 3 cells over the width of a plate
-(0.52 m), 1 over its height."""
-
+HEAD_CELL = 0.05  # cell / height of a person: about 3 cells over the height of a head, 2 over its width
+PLATE_CELL, LARGE_VEHICLE_PLATE_CELL = 0.12, 0.08  # cell / height of a vehicle: at most 3 x 1 cells on a plate
 MIN_CELL_PX = 8.0  # minimum cell size of the mosaic, px
 
 _PERSON, _BICYCLE, _CAR, _MOTORCYCLE, _BUS, _TRUCK = (

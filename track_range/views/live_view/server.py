@@ -39,15 +39,9 @@ from track_range.foundation.prefetch import lower_thread_priority
 
 DEFAULT_VIEWERS = 16  # largest number of streams at a time
 _SPARE_CONNECTIONS = 32  # connections served at a time in addition to the streams; each has a thread
-
-_TIMEOUT_S = 5.0
-"""Seconds in which a client has to send its request, or to accept a picture; then its connection is closed."""
-
+_TIMEOUT_S = 5.0  # for a client to send its request, or to accept a picture; then its connection is closed
 _MAX_REQUEST_BYTES = 1 << 17  # largest size of a request: twice the longest line that `http.server` accepts
-
-_SEND_BUFFER_BYTES = 1 << 18
-"""Size of a connection's send buffer, about one picture: a slow viewer must not request pictures that it sees late."""
-
+_SEND_BUFFER_BYTES = 1 << 18  # about one picture: a slow viewer must not request pictures that it sees late
 _POLL_S = 0.1  # between checks of whether the server is to end
 _DISCONNECT_POLL_S = 1.0  # between checks of whether a viewer who waits for a picture has disconnected
 

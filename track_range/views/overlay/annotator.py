@@ -40,10 +40,7 @@ Status = Callable[[], Sequence[str]]  # returns short texts on the state of the 
 MOST_LABELS = 100  # maximum number of labels per frame; in a crowd only the nearest tracks are labelled
 _DASH = 7  # distance between the starts of dashes, in line widths
 _MIN_WINDOW_PX = 8  # smallest side in pixels of an inner window that is drawn
-
-_CORNERS = np.array([(0, 1), (0, 3), (2, 1), (2, 3)])
-"""(4, 2) indices into (left, top, right, bottom) of the x and y of each corner of a window."""
-
+_CORNERS = np.array([(0, 1), (0, 3), (2, 1), (2, 3)])  # (4, 2) x and y of each corner in left, top, right, bottom
 _ARMS = np.array([[(x, 0), (0, 0), (0, y)] for x in (1, -1) for y in (1, -1)], np.int32)
 """(4, 3, 2) polyline at each corner, in arm lengths inwards: one end, the corner, the other end."""
 

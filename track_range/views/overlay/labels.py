@@ -24,9 +24,7 @@ from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.registry import methods
 from track_range.ranging.warning.safety import apart_m
 
-CLOSING_SHOWN_MPS = 0.5
-"""Smallest closing speed that is shown, in m/s; slower ones are within the noise of the distance filter."""
-
+CLOSING_SHOWN_MPS = 0.5  # smallest closing speed that is shown; slower ones are within the noise of the distance filter
 TTC_SHOWN_S = 30.0  # longest time to collision that is shown, in seconds; beyond it only the closing speed is shown
 BAR_S = 8.0  # time to collision in seconds at which its bar is empty; at 0 s it is full
 LONGEST_NAME = 24  # longest class name that is shown in full, in characters
@@ -204,9 +202,7 @@ multiple of the box size plus a multiple of the label size. First at the box and
 
 _STEP_COST = 0.01  # cost of each step along the list of candidates, as a fraction of the label's area
 _PREVIOUS_BONUS = 0.1  # bonus for the position in the previous frame, as a fraction of the label's area
-
-_MAX_COST = 0.3
-"""Cost above which a full label is shortened if that reduces the cost, as a fraction of the label's area."""
+_MAX_COST = 0.3  # cost, of the label's area, above which a full label is shortened if that reduces it
 
 
 class LabelPlacer:

@@ -14,12 +14,8 @@ from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.throughput import StageClock
 from track_range.views.video_writer import MAX_HELD_FRAMES, VideoWriter
 
-QUANTIZER = 28
-"""Constant quantizer of H.264, visually equal to crf 23; 2.7 ms and 57 kB per frame of KITTI 0003 (3.3 ms, 72 kB)."""
-
-_MAX_LAG_S, _MAX_LAG_FRAMES = 1.0, 5
-"""What a video may lack of the frames in the rows if the program is killed, whichever is less; at least one frame."""
-
+QUANTIZER = 28  # of H.264, visually equal to crf 23; 2.7 ms and 57 kB per frame of KITTI 0003 (3.3 ms, 72 kB)
+_MAX_LAG_S, _MAX_LAG_FRAMES = 1.0, 5  # that a video may lack after a kill, whichever is less; at least one frame
 Draw = Callable[[FrameResult], Image]  # draws a result as (H, W, 3) uint8 BGR; called from one thread
 
 

@@ -27,13 +27,8 @@ from track_range.views.report.tables import Cell, Column, ColumnSpec, Grid, colu
 
 TIME_TOLERANCE_S = 0.5  # largest gap in s between the times of matching events
 MIN_IOU = 0.3  # smallest median IoU of the boxes of matching events
-
-_DISTANCE_FRACTION, _DISTANCE_M = 0.2, 2.0
-"""Largest difference of the distances of matching events without common frames: relative, and in metres."""
-
-_CHANGED_S, _CHANGED_SIGMA = 0.2, 1.0
-"""Differences that are listed: times in s, and distances in their joint standard deviation."""
-
+_DISTANCE_FRACTION, _DISTANCE_M = 0.2, 2.0  # largest differences of matching events without common frames
+_CHANGED_S, _CHANGED_SIGMA = 0.2, 1.0  # differences that are listed: s, and in joint sigmas of distances
 _CHANGED_FRACTION = 0.1  # relative difference of distances without a standard deviation that is listed
 _ARROW = "\N{RIGHTWARDS ARROW}"
 

@@ -15,10 +15,7 @@ from typing import Any
 
 NOTHING = "-"  # text of a value that was not measured
 SIGMA = "\N{GREEK SMALL LETTER SIGMA}"
-
-WITHIN_1_SIGMA, WITHIN_2_SIGMA = 0.6827, 0.9545
-"""Fractions of a normal distribution within one and two standard deviations of the mean."""
-
+WITHIN_1_SIGMA, WITHIN_2_SIGMA = 0.6827, 0.9545  # of a normal distribution
 WITHIN_1_HEADING, WITHIN_2_HEADING = (f"\N{LESS-THAN OR EQUAL TO}{k}{SIGMA} %" for k in (1, 2))
 """Headings of the percentage of errors within one and two sigma."""
 
@@ -65,8 +62,7 @@ class Column:
         return [Cell(text, text == best) for text in texts]
 
 
-ColumnSpec = tuple[Any, ...]
-"""Heading and key of a column of figures, then `pattern`, `scale` and `cost` of `Column`, which may be left out."""
+ColumnSpec = tuple[Any, ...]  # heading, key, then `pattern`, `scale`, `cost` of `Column`, which may be left out
 
 
 def columns_of(rows: Iterable[Mapping[str, Any]], specs: Iterable[ColumnSpec]) -> list[Column]:
@@ -134,18 +130,14 @@ _TRACK_COLUMNS: tuple[ColumnSpec, ...] = (
     ("IDF1 %", "idf1"),
     ("ID switches", "idsw", "{:.0f}"),
 )
-
-_MOT_FIGURES = (
+_MOT_FIGURES = (  # heading and key in the section `tracks` of the summary; MOT metrics are in per cent already
     *(("HOTA %", "hota"), ("DetA %", "deta"), ("AssA %", "assa"), ("LocA %", "loca"), ("MOTA %", "mota")),
     *(("MOTP %", "motp"), ("IDF1 %", "idf1"), ("ID precision %", "idp"), ("ID recall %", "idr")),
     ("ID switches", "idsw"),
     *(("fragments", "frag"), ("false positives", "fp"), ("false negatives", "fn"), ("true boxes", "n_truth_boxes")),
     *(("mostly tracked", "mt"), ("partly tracked", "pt"), ("mostly lost", "ml")),
 )
-"""Heading and key in the section `tracks` of the summary; MOT metrics are in per cent already, the others counts."""
-
-STAGE_OF = {"fused": "fuse"}
-"""Stage that measures a method's run time, if their names differ; filtered methods are part of the fusion stage."""
+STAGE_OF = {"fused": "fuse"}  # stage that measures a method's run time; filtered methods are part of fusion
 
 
 def grids(summary: Summary) -> list[Grid]:

@@ -15,8 +15,7 @@ from track_range.foundation.files.output_files import write_json
 from track_range.tracking.evaluation.motmetrics_comparison import REASONS
 from track_range.views.report.tables import Column, Grid, columns_of, figure, grid_of
 
-_HEADS = "HOTA DetA AssA LocA MOTA MOTP IDF1 IDsw FP FN Frag MT ML".split()
-"""Metrics shown, by their usual names; keys of the results in lower case."""
+_HEADS = "HOTA DetA AssA LocA MOTA MOTP IDF1 IDsw FP FN Frag MT ML".split()  # in lower case the keys of results
 
 
 class TracksOptions(TrackEvaluationSettings):

@@ -14,8 +14,7 @@ from track_range.run.settings import RunSettings
 if TYPE_CHECKING:
     from track_range.fleet.inputs.clip import Clip
 
-_MAX_NAME, _MAX_NAMED = 20, 10
-"""Characters of the name of a failed clip, and number of failed clips that are named at the end."""
+_MAX_NAME, _MAX_NAMED = 20, 10  # characters of the name of a failed clip, and number of such clips that are named
 
 
 def _fleet_run(**values: Any) -> None:

@@ -21,9 +21,7 @@ from track_range.run.options.detection import AnchorsField, LetterboxField, Name
 from track_range.run.options.opened import DetectorOptions, open_detector
 
 _ABOUT = ("data", "date", "epochs", "licence", "license")  # metadata on the origin of a model
-
-_IDENTITY = {"mean": (0.0, 0.0, 0.0), "std": (1.0, 1.0, 1.0)}
-"""Attributes that have no effect, and are not shown, with these values."""
+_IDENTITY = {"mean": (0.0, 0.0, 0.0), "std": (1.0, 1.0, 1.0)}  # values without effect, not shown
 
 
 class InfoOptions(Options):

@@ -22,9 +22,7 @@ _RMC = re.compile(r"\$[A-Z]{2}RMC,[^$*\r\n]{10,90}(?:\*([0-9A-Fa-f]{2}))?")  # o
 _RMC_IN_RECORD = re.compile(rb"([A-Z]{2}RMC,[ -#%-)+-:<-~]{6,90}(?:\*[0-9A-Fa-f]{2})?)")
 """RMC sentence in a record; the dollar sign is missing in some subtitles."""
 
-_MIN_RIGHT_FRACTION = 0.5
-"""Fraction of right checksums above which sentences with a wrong one are dropped. Some programs change positions in
-files without correcting any checksum."""
+_MIN_RIGHT_FRACTION = 0.5  # of right checksums, above which wrong ones are dropped; some programs never correct any
 
 
 def read_nmea(path: Path) -> TelemetryTrack | None:

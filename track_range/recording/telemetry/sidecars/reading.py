@@ -40,9 +40,7 @@ SIDECARS = (  # in the order in which their files are looked for, and in which a
 SUFFIXES = tuple(dict.fromkeys(suffix for sidecar in SIDECARS for suffix in sidecar.suffixes))
 
 SPEED_TABLE_SUFFIXES = (".csv", ".txt")  # suffixes that tables of times and speeds have, too (`--ego-speed FILE`)
-
-_CAMERA_LETTER = re.compile(r"(?<=_[A-Z])[FRIO]$")
-"""Letter of the camera at the end of the names of BlackVue videos; their logs have none: ..._NF.mp4, ..._N.gps."""
+_CAMERA_LETTER = re.compile(r"(?<=_[A-Z])[FRIO]$")  # BlackVue's letter of the camera, which its logs lack
 
 
 def sidecar_names(video: str) -> tuple[str, ...]:

@@ -20,9 +20,7 @@ from track_range.recording.telemetry.track import MAX_SIDECAR_BYTES, TelemetryEr
 
 _N_CELLS = 10
 _MAX_STEP_S = 5.0  # longest time from one video to the next, if the recording did not stop between
-
-_COURSE_SCALE, _SPEED_SCALE = 0.01, 0.01
-"""Degrees and m/s per unit of the columns; as documented by users of several models, and the noise of parked cars."""
+_COURSE_SCALE, _SPEED_SCALE = 0.01, 0.01  # degrees and m/s per unit, by several models' users and parked cars
 
 
 def read_seventymai(path: Path, video: str, duration_s: float) -> TelemetryTrack | None:

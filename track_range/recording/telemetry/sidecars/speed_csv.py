@@ -30,10 +30,7 @@ _LONGITUDE = re.compile(r"(?<![a-z])(?:lon|lng|long)(?:gitude|itude)?(?![a-z])")
 _COURSE = re.compile(r"(?<![a-z])(?:course|heading|bearing|track)(?![a-z])")
 _VIDEO_TIME = re.compile(r"^(?:time_s|t|seconds?|elapsed.*|video_?time.*|cts|time ?\(?\[?s\)?\]?|offset.*)$")
 _CLOCK_TIME = re.compile(r"(?:^|[^a-z])(?:utc|date|time|timestamp|datetime|epoch|gpstime)(?:$|[^a-z])")
-
-_EPOCH_UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3), (1e8, 1.0))
-"""Smallest value and seconds per unit of times since 1970 in nanoseconds, microseconds, milliseconds and seconds."""
-
+_EPOCH_UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3), (1e8, 1.0))  # smallest value, seconds per unit
 _UNIT_TOLERANCE, _MIN_MOVING = 0.08, 10  # difference to speeds from positions, and moving samples, that show a unit
 
 

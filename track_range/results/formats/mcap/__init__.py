@@ -9,15 +9,11 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:  # not imported for help pages, which name the profiles
     from track_range.stereo.geometry.camera import PinholeCamera
 
-LAYOUT = Path(__file__).with_name("foxglove_layout.json")
-"""Layout for Foxglove: image with boxes, 3-D scene, plots of distance and closing speed, notes."""
-
-PROFILES: Mapping[str, str] = {
+LAYOUT = Path(__file__).with_name("foxglove_layout.json")  # for Foxglove: image with boxes, 3-D scene, plots
+PROFILES: Mapping[str, str] = {  # messages by family of readers, imported when used: packages are optional
     "foxglove": "track_range.results.formats.mcap.foxglove_profile:FoxgloveProfile",
     "ros2": "track_range.results.formats.mcap.ros2_profile:Ros2Profile",
 }
-"""Message types of a family of readers by name, imported when one is used, since their packages are optional."""
-
 ANNOTATIONS, DETECTIONS_2D = "/camera/annotations", "/camera/detections"
 SCENE, DETECTIONS_3D, RANGES = "/tracks/scene", "/tracks/detections", "/tracks/ranges"
 TRANSFORMS = "/tf"

@@ -26,23 +26,17 @@ from track_range.simulation.world.bodies.faces import (
 )
 from track_range.simulation.world.textures.surfaces import SEAM, clip, fill, pane, polygon, shade_rows, wheel
 
-PAINTS: tuple[Colour, ...] = (
+PAINTS: tuple[Colour, ...] = (  # paint colours: white, silver, greys, black, blues, red, beige, green
     *((205, 206, 205), (176, 176, 174), (120, 120, 118), (72, 70, 68), (40, 38, 38)),
     *((112, 66, 38), (42, 36, 138), (92, 104, 112), (150, 96, 52), (62, 78, 54)),
 )
-"""Paint colours: white, silver, greys, black, blues, red, beige, green."""
-
 LAMP_RED: Colour = (32, 26, 190)
 LAMP_WHITE: Colour = (232, 238, 238)
 TRIM: Colour = (34, 34, 36)
 
 SILL = 0.15  # height of the hull's lower edge relative to the car's height
 PAINT_CONTRAST = 5.0  # contrast of the dirt on the paint, grey levels
-
-LEAN_M = 0.29
-"""Horizontal distance between the lower edge of the side windows and the roof; with less, detectors trained on real
-images classify these cars as trucks."""
-
+LEAN_M = 0.29  # m from the side windows' lower edge to the roof; with less, detectors classify these cars as trucks
 SHOULDER_M = 0.03  # horizontal distance between the hull's side and the lower edge of the cabin
 WHEEL_M = 0.32  # radius of a wheel
 BACK_CHAMFER_M, FRONT_CHAMFER_M = (0.18, 0.15), (0.34, 0.25)  # along and across, seen from above

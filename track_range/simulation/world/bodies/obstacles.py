@@ -12,18 +12,14 @@ from track_range.simulation.world.bodies.faces import Colour, Face, Size, block,
 from track_range.simulation.world.scene import Obstacle
 from track_range.simulation.world.textures.surfaces import TEXELS_PER_M, opaque, plain, value_noise
 
-POLE_COLOURS: tuple[Colour, ...] = (
+POLE_COLOURS: tuple[Colour, ...] = (  # galvanised steel, aluminium, dark paint, wood, green paint, concrete
     *((120, 122, 122), (168, 170, 170), (62, 64, 62)),
     *((58, 84, 108), (50, 66, 46), (150, 156, 160)),
 )
-"""Galvanised steel, aluminium, dark paint, wood, green paint, concrete."""
-
-FENCE_COLOURS: tuple[Colour, ...] = (
+FENCE_COLOURS: tuple[Colour, ...] = (  # two sorts of wood, white paint, black paint, green paint, steel
     *((70, 98, 124), (52, 74, 96), (202, 206, 206)),
     *((44, 46, 44), (60, 84, 54), (140, 142, 142)),
 )
-"""Two sorts of wood, white paint, black paint, green paint, steel."""
-
 BAND_M = 0.4  # height of the coloured bands of a striped pole
 POST_M, POST_SPACING_M = 0.08, 2.0  # width of the posts of a fence and largest distance between them
 N_LAYERS = 6  # number of flat layers of a bush

@@ -42,7 +42,7 @@ CLOTH_CONTRAST = 7.0  # contrast of the texture of clothes, grey levels
 WHEEL_RADIUS_M = 0.34  # radius of a bicycle wheel
 N_TYRE_PIECES = 10  # number of flat faces of a tyre
 PELVIS, WAIST, CHEST, SHOULDER, NECK = 0.46, 0.60, 0.72, 0.80, 0.845  # fractions of the height of a standing body
-TRUNK = (
+TRUNK = (  # height, half depth and half width, of the body's height
     (PELVIS, 0.064, 0.102),
     (0.52, 0.074, 0.108),
     (WAIST, 0.068, 0.096),
@@ -50,16 +50,12 @@ TRUNK = (
     (SHOULDER, 0.062, 0.124),
     (NECK, 0.036, 0.048),
 )
-"""Height, half depth and half width of the trunk, as fractions of the body's height."""
-
-CYCLIST_TRUNK = (
+CYCLIST_TRUNK = (  # x in m, height of the body's, half depth and half width in m
     (-0.24, 0.52, 0.11, 0.17),
     (-0.20, 0.60, 0.125, 0.165),
     (-0.10, 0.70, 0.125, 0.19),
     (0.02, 0.785, 0.11, 0.21),
 )
-"""x in metres, height as a fraction of the body's, half depth and half width in metres of a cyclist's trunk."""
-
 HEAD = ((0.16, 0.055, 0.042), (0.34, 0.086, 0.066), (0.62, 0.098, 0.077), (0.86, 0.085, 0.066), (1.0, 0.045, 0.035))
 """Cross-sections of neck and head: height as a fraction from the neck up, half depth and half width in metres."""
 

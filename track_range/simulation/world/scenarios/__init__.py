@@ -8,7 +8,7 @@ from track_range.simulation.world.scenarios import conflicts, traffic
 from track_range.simulation.world.scenarios.occlusion import occlusion
 from track_range.simulation.world.scene import Scene, make_scene
 
-SCENARIOS: dict[str, Callable[[int, float], Scene]] = {
+SCENARIOS: dict[str, Callable[[int, float], Scene]] = {  # scenes from a seed and a length in seconds
     "town": make_scene,
     "highway": traffic.highway,
     "city": traffic.city,
@@ -28,7 +28,6 @@ SCENARIOS: dict[str, Callable[[int, float], Scene]] = {
     "following": conflicts.following,
     "occlusion": occlusion,
 }
-"""Function of each scenario that creates its scene from seed and length in seconds."""
 
 
 def make_scenario(name: str, *, seed: int = 0, seconds: float = 10.0) -> Scene:

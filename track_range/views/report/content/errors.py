@@ -19,9 +19,7 @@ from track_range.views.report.tables import WITHIN_1_SIGMA, WITHIN_2_SIGMA, figu
 SCATTER_POINTS = 1500  # maximum number of points of one method in the chart of errors; more would overlap
 BAND_M = 10.0  # width in metres of the distance bands of the median line
 MIN_IN_BAND = 3  # minimum number of errors in a band for a median
-
-EXPECTED_FRACTIONS = np.arange(0.05, 1.0, 0.05)
-"""Fractions of errors expected within k sigma at which the calibration curve is sampled."""
+EXPECTED_FRACTIONS = np.arange(0.05, 1.0, 0.05)  # expected within k sigma, of the calibration curve
 
 
 def error_curves(columns: Columns, summary: Mapping[str, Any]) -> dict[str, dict[str, Any]]:

@@ -27,23 +27,13 @@ from track_range.views.report.content.series import column
 
 COURSE_S = 8.0  # longest time to collision in s of the courses that the page contains; it draws the next 4 s
 WINDOW_S = 0.8  # duration in s of the positions from which a course is computed: at least eight frames at 10 Hz
-
-FILTERED_WINDOW_S = 0.5
-"""The same for the offsets of the collision warning in s, which are filtered: their slope is the lateral speed."""
-
+FILTERED_WINDOW_S = 0.5  # the same for the offsets of the collision warning, whose slope is the lateral speed
 _MIN_POSITIONS = 4  # of a course
-
-_LATERAL_ACCELERATION_MPS2 = 0.25
-"""Standard deviation a of the lateral acceleration in m/s^2; a lane change reaches twice as much."""
-
-_CENTRE_SIGMA_PX, _CENTRE_SIGMA_FRACTION = 1.0, 0.02
-"""Standard deviation of a box centre: a constant in px, plus a fraction of the box width; as in `ranging`."""
-
+_LATERAL_ACCELERATION_MPS2 = 0.25  # sigma a of the lateral acceleration; a lane change reaches twice as much
+_CENTRE_SIGMA_PX, _CENTRE_SIGMA_FRACTION = 1.0, 0.02  # of a box centre: px, plus a fraction of the width (`ranging`)
 _BORDER_PX = 2.0  # distance in px from the left or right image border within which a box counts as truncated
 _MIN_ROWS = 3  # minimum number of rows with a position from which a camera is recovered
-
-_MAX_RESIDUAL = 0.02
-"""Largest median residual of x / z, about 1 degree; the rows of one camera have less than 1e-4, from rounding."""
+_MAX_RESIDUAL = 0.02  # largest median residual of x / z, about 1 degree; of one camera below 1e-4, from rounding
 
 
 def uncalibrated_video(summary: Mapping[str, Any]) -> str | None:

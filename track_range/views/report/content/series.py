@@ -18,12 +18,8 @@ from track_range.pipeline.colours import track_colour
 from track_range.results.columns import Columns, methods_measured, most_frequent, rows_by_track
 from track_range.views.report.tables import figure
 
-LINE_POINTS = 1200
-"""Maximum number of points of a line; longer ones are thinned. A page shows about one point per pixel."""
-
-MOST_CELLS = 1_800_000
-"""Maximum count of numbers in a page, at three to four bytes each; 2,000 tracks of 30 frames have 0.9 million."""
-
+LINE_POINTS = 1200  # of a line, longer ones are thinned; a page shows about one point per pixel
+MOST_CELLS = 1_800_000  # numbers in a page, of three to four bytes; 2,000 tracks of 30 frames have 0.9 million
 MAX_BINS = 600  # maximum number of points of the timeline; a page shows about one per two pixels
 _DEFAULT_FRAME_S = 0.1  # duration of a frame in s if the rows do not determine it
 
