@@ -4,6 +4,8 @@
 FILE.csv                    columns time_s (seconds from the video's first frame) and speed_mps or speed_kmh
 OXTS_DIR                    KITTI GPS/IMU folder: NNNNNNNNNN.txt per frame, with the forward speed vf in m/s as the 9th
                             value, and timestamps.txt in it or next to it (Geiger et al., IJRR 2013)
+COMMA_DIR                   processed_log of comma2k19: CAN/speed/t and value, global_pose/frame_times (Schafer et al.,
+                            2018)
 
 The speed is interpolated linearly between samples and is NaN outside them. Rotation of the camera is not modelled.
 """
@@ -32,7 +34,8 @@ _MAX_TIME_S = 1e10  # largest absolute time; seconds since 1970 are smaller
 _UNITS = {"speed_mps": 1.0, "speed_kmh": _MPS_PER_KMH}  # factor from each speed column to m/s
 TABLE_SIGMA_MPS = 0.2  # standard deviation of the speeds of CSV and oxts files, which state none: that of GPS receivers
 _CONSTANT_SIGMA_MPS = 1.0  # of a constant speed; assumed: one that a person reads from a speedometer
-_OXTS_FORWARD = 8  # index of the forward speed vf in a line of KITTI oxts
+_OXTS_FORWARD, _OXTS_POSITION = 8, slice(0, 2)  # forward speed vf, latitude and longitude in a line of KITTI oxts
+_COMMA_SPEED = "CAN/speed"  # folder with times and speeds of a segment of comma2k19
 _OXTS_COLUMNS = 30  # number of values in a line of KITTI oxts
 
 
@@ -49,6 +52,7 @@ class EgoSpeed:
     source: str  # where the samples come from, for notes
     speed_sigma_mps: float = TABLE_SIGMA_MPS  # standard deviation of the samples
     time_sigma_s: float = 0.0  # standard deviation of the time offset that all samples share
+    positions_deg: FloatArray | None = None  # (N, 2) latitude and longitude, to check the speeds; None = unknown
 
     def along(self, yaw_deg: float) -> EgoSpeed:
         """The speed along an axis that is `yaw_deg` to the side of the camera's."""
@@ -102,7 +106,7 @@ def open_ego_speed(text: str) -> EgoSpeed:
         speed_mps = _plausible(np.array([kmh]) * _MPS_PER_KMH, "--ego-speed")
         return EgoSpeed(np.array([-np.inf]), speed_mps, f"{kmh:g} km/h", _CONSTANT_SIGMA_MPS)
     if os.path.isdir(path):  # unlike Path.is_dir, False for a name that is too long
-        return _from_oxts(path)
+        return _from_comma(path) if (path / _COMMA_SPEED).is_dir() else _from_oxts(path)
     if os.path.lexists(path):
         return _from_csv(path)
     is_decimal = math.isfinite(number(text.replace(",", ".")))
@@ -157,17 +161,35 @@ def _from_oxts(folder: Path) -> EgoSpeed:
             f"{folder}: expected a line in timestamps.txt for each oxts file, got {len(times_s)} lines "
             f"but a file {files[-1].name}."
         )
-    speed_mps = np.concatenate([_plausible(np.array([_oxts_forward_mps(file)]), str(file)) for file in files])
-    return EgoSpeed(times_s[np.array(frames)], speed_mps, folder.name)
+    rows = np.array([_oxts_values(file) for file in files])
+    speed_mps = np.concatenate([_plausible(rows[i, [_OXTS_FORWARD]], str(file)) for i, file in enumerate(files)])
+    return EgoSpeed(times_s[np.array(frames)], speed_mps, folder.name, positions_deg=rows[:, _OXTS_POSITION])
 
 
-def _oxts_forward_mps(file: Path) -> float:
+def _from_comma(folder: Path) -> EgoSpeed:
+    """Speed of the car's wheels in a segment of comma2k19, whose files are NumPy arrays without suffix."""
+    try:
+        time_s, speed_mps, frame_s = (
+            np.load(folder / name, allow_pickle=False).ravel().astype(np.float64)
+            for name in (f"{_COMMA_SPEED}/t", f"{_COMMA_SPEED}/value", "global_pose/frame_times")
+        )
+    except (OSError, ValueError, EOFError) as error:
+        raise EgoSpeedError(
+            f"{folder}: expected arrays of NumPy in {_COMMA_SPEED} and global_pose/frame_times, as in comma2k19, found "
+            "missing or damaged ones."
+        ) from error
+    if not len(frame_s) or len(time_s) != len(speed_mps) or not (np.diff(time_s) > 0).all():
+        raise EgoSpeedError(f"{folder}: expected increasing times with one speed each, found others.")
+    return EgoSpeed(time_s - frame_s[0], _plausible(speed_mps, str(folder)), folder.name)
+
+
+def _oxts_values(file: Path) -> list[float]:
     cells = read_text(file, EgoSpeedError, "a KITTI oxts file").split()
     unreadable = [cell for cell, value in zip(cells, numbers(cells), strict=True) if not math.isfinite(value)]
     if len(cells) != _OXTS_COLUMNS or unreadable:
         given = quoted(unreadable[0]) if len(cells) == _OXTS_COLUMNS else f"{len(cells)} numbers"
         raise EgoSpeedError(f"{file}: expected the {_OXTS_COLUMNS} finite numbers of a KITTI oxts file, got {given}.")
-    return number(cells[_OXTS_FORWARD])
+    return numbers(cells)
 
 
 def _plausible(speed_mps: FloatArray, where: str) -> FloatArray:

@@ -20,7 +20,7 @@ from tests.track_range.results.test_results import result
 from track_range.foundation.errors import UsageError
 from track_range.recording.bags.bag import is_bag
 from track_range.recording.bags.bag_video import BagVideo
-from track_range.recording.bags.decoding import _message_reader
+from track_range.recording.bags.decoding import message_reader
 from track_range.recording.frame import VideoError
 from track_range.recording.names import BagTopic, Segments
 from track_range.recording.open_video import open_video
@@ -298,7 +298,7 @@ def test_missing_package_is_named(
     tmp_path: Path, images: list[np.ndarray], monkeypatch: pytest.MonkeyPatch, kind: str, package: str
 ) -> None:
     bag = write(tmp_path / "drive", kind, ("/cam",), images[:2])
-    _message_reader.cache_clear()
+    message_reader.cache_clear()
     monkeypatch.delitem(sys.modules, "track_range.recording.bags.mcap_file", raising=False)
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(VideoError, match=r"pip install 'track-range\[mcap\]'"):

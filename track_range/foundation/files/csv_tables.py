@@ -14,7 +14,7 @@ from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, quoted, read_text
 from track_range.foundation.files.numeric_text import number
 
-_DECIMAL_COMMA = re.compile(r"[+-]?\d{1,20},\d{1,20}")
+_DECIMAL_COMMA = re.compile(r"([+-]?\d{1,20}),(\d{1,20}(?:[eE][+-]?\d{1,3})?)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,12 +84,14 @@ def read_csv_table(
 ) -> CsvTable:
     """Read a CSV file in UTF-8 with a header line; `expected` is what it should hold, such as "columns time_s".
 
-    `default_header` names the columns of a file of which the first line has none of them. Rows with missing cells, or
-    one comma at the end, are allowed unless `exact`. Raises `error` if the file is unreadable, empty or not CSV with
-    commas, a row has too many cells, or a column has no name.
+    Columns may be separated by semicolons or tabs instead of commas; then decimals may have a comma. `default_header`
+    names the columns of a file of which the first line has none of them. Rows with missing cells, or one separator at
+    the end, are allowed unless `exact`. Raises `error` if the file is unreadable, empty or no CSV, a row has too many
+    cells, or a column has no name.
     """
     text = read_text(path, error, "CSV", max_bytes=MAX_TABLE_BYTES)
-    reader = csv.reader(text.split("\n"), strict=True)
+    separator = _separator(text)
+    reader = csv.reader(text.split("\n"), strict=True, delimiter=separator)
     try:
         numbered = [(reader.line_num, [cell.strip() for cell in row]) for row in reader if any(map(str.strip, row))]
     except csv.Error as reason:
@@ -100,11 +102,8 @@ def read_csv_table(
         raise error(f"{path}: the file is empty; expected {expected}.")
     lines, rows = [line for line, _ in numbered], [row for _, row in numbered]
     header = tuple(cell.lower() for cell in rows[0])
-    if len(header) == 1 and (separator := next((mark for mark in ";\t" if mark in header[0]), "")):
-        raise error(
-            f"{path}, line {lines[0]}: expected columns separated by commas and decimals with a point, found "
-            f"{quoted(separator)} in the header."
-        )
+    if separator != ",":
+        rows = [[_DECIMAL_COMMA.sub(r"\1.\2", c) if _DECIMAL_COMMA.fullmatch(c) else c for c in row] for row in rows]
     if default_header and not set(header) & set(default_header):
         header = tuple(default_header[: len(rows[0])])
     else:
@@ -123,3 +122,9 @@ def read_csv_table(
         if any(row[column] for column in unnamed):
             raise table.fault(index, "expected a name in the header for each column with values.")
     return table
+
+
+def _separator(text: str) -> str:
+    """Separator of the columns: a semicolon or tab if the first line that is not empty has one outside of quotes."""
+    first = re.sub(r'"[^"]*"', "", next((line for line in text.split("\n") if line.strip()), ""))
+    return next((mark for mark in ";\t" if mark in first), ",") if "," not in first else ","

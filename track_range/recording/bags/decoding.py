@@ -60,14 +60,14 @@ class ImageDecoder:
     def __init__(self, topic: Topic) -> None:
         self.is_video = topic.type in VIDEO_TYPES
         self._topic = topic
-        self._parsed = _message_reader(topic)
+        self._parsed = message_reader(topic)
         self._codec: VideoCodecContext | None = None
 
     def message(self, data: bytes) -> tuple[float, Any]:
         """Seconds since 1970, 0 = none, and content of a message; raises DamagedError if it cannot be read."""
         try:
             message = self._parsed(data)
-            return _stamp_s(message), message
+            return stamp_s(message), message
         except Exception as error:  # protobuf's and rosbags' errors derive from Exception
             raise DamagedError(f"no {self._topic.type}") from error
 
@@ -96,7 +96,7 @@ class ImageDecoder:
 
 
 @cache
-def _message_reader(topic: Topic) -> Callable[[bytes], Any]:
+def message_reader(topic: Topic) -> Callable[[bytes], Any]:
     """Function that parses the messages of a topic; raises VideoError if a library is missing."""
     name, encoding = topic.type, topic.encoding
     if encoding == "protobuf":
@@ -134,7 +134,7 @@ def _uncompressed(data: bytes) -> bytes:
     return decompressed(data, "zstd", n_bytes)
 
 
-def _stamp_s(message: Any) -> float:
+def stamp_s(message: Any) -> float:
     """Time stamp of a message of ROS (header.stamp) or Foxglove (timestamp) in s; 0 = none."""
     header = getattr(message, "header", None)
     stamp = message.timestamp if header is None else header.stamp
@@ -171,7 +171,7 @@ def _raw_image(message: Any) -> Image:
 def camera_message(topic: Topic, data: bytes) -> CameraInfo:
     """The calibration in a message of one of `CALIBRATION_TYPES`; raises DamagedError if it cannot be read."""
     try:
-        message = _message_reader(topic)(data)
+        message = message_reader(topic)(data)
         d, k, r, p = (np.array(getattr(message, name, getattr(message, name.upper(), ())), float) for name in "dkrp")
         r, p = r if r.any() else np.eye(3).ravel(), p if p.any() else np.insert(k.reshape(3, 3), 3, 0.0, axis=1).ravel()
         return CameraInfo(

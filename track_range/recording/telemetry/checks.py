@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -39,7 +40,11 @@ _MIN_LOSSES, _MIN_FIX_FRACTION = 5, 0.6
 """Number of losses of the fix from which speeds are doubted if fewer samples have a fix. Assumed: the
 one known recording of a parked car with false speeds has 22 losses in 3 minutes and a fraction of 0.38."""
 
-_MIN_COMPARED, _UNIT_TOLERANCE = 10, 0.08  # steps, and relative difference, for a unit inferred from positions
+_MIN_COMPARED, _UNIT_TOLERANCE, _MAX_DEVIATION = 10, 0.05, 0.12
+"""Number of steps that are compared with positions; relative difference up to which they confirm a unit, and largest
+one of an own speed, such as that of a speedometer, which becomes less certain. Units differ by 13 %."""
+
+_MAX_SCATTER = 0.3  # largest median relative deviation of single steps where the positions decide on the unit
 
 
 def usable(track: TelemetryTrack) -> TelemetryTrack:
@@ -62,7 +67,7 @@ def usable(track: TelemetryTrack) -> TelemetryTrack:
     track = track.selected(order[np.concatenate([[True], np.diff(track.time_s[order]) > 0])])
     _check_losses(track)
     _check_positions(track)
-    track = _with_unit(track)
+    track = with_unit(track)
     return _without_wild_speeds(track)
 
 
@@ -132,30 +137,48 @@ def _check_positions(track: TelemetryTrack) -> None:
         raise TelemetryError("its positions jump.")
 
 
-def _with_unit(track: TelemetryTrack) -> TelemetryTrack:
-    """The track with speeds in m/s, if the file states no unit and its positions show that it is another one.
+def with_unit(track: TelemetryTrack) -> TelemetryTrack:
+    """The track with its speeds in the unit that its positions show, which is another one than stated now and then.
 
-    With too few positions of a moving car, the speeds are taken as m/s, with a note if any is fast. A TelemetryError
-    means that the speeds contradict the positions in every unit.
+    Speeds that differ by less than units do become less certain. Without a stated unit, and with too few positions of
+    a moving car, they are taken as m/s, with a note if any is fast. A TelemetryError means that the speeds contradict
+    the positions in every unit.
     """
-    if track.states_unit or not track.has_own_speed:
+    if not track.has_own_speed:
         return track
     positions = speed_from_positions(
         track.time_s, track.latitude_deg, track.longitude_deg, np.full(len(track), np.nan), clock=track.clock
     )
-    ratio, n_moving = speed_ratio(positions, track.time_s, track.speed_mps, _MIN_COMPARED)
-    if ratio is None:
-        if not (track.speed_mps > MOVING_MPS).any():
+    ratio = speed_ratio(positions, track.time_s, track.speed_mps, _MIN_COMPARED)
+    if positions is None or math.isnan(ratio.median):
+        if track.unit is not None or not (track.speed_mps > MOVING_MPS).any():
             return track
-        note = f"its speeds have no unit and are taken as m/s; only {n_moving} positions of a moving car could show it."
+        note = (
+            f"its speeds have no unit and are taken as m/s; only {ratio.n_moving} positions of a moving car could "
+            "show it."
+        )
         return replace(track, notes=(*track.notes, note))
-    unit = unit_of_ratio(ratio, _UNIT_TOLERANCE)
-    if unit is None:
-        raise TelemetryError(f"its speeds contradict its positions by a factor of {1 / ratio:.2g}, which is no unit.")
-    if unit == "m/s":
+    stated_mps = float(np.nanmedian(track.speed_mps))
+    if abs(ratio.median - 1) <= _UNIT_TOLERANCE:
         return track
-    note = f"its speeds are in {unit} instead of m/s, as the positions show; they were converted."
-    return replace(track, speed_mps=track.speed_mps * MPS_PER_UNIT[unit], notes=(*track.notes, note))
+    if abs(ratio.median - 1) <= _MAX_DEVIATION and track.unit is not None:
+        sigma_mps = math.hypot(track.speed_sigma_mps, abs(ratio.median - 1) * stated_mps)
+        note = (
+            f"its speeds are {abs(1 / ratio.median - 1):.0%} {'below' if ratio.median > 1 else 'above'} those of its "
+            f"positions; their standard deviation is {sigma_mps:.1f} m/s."
+        )
+        return replace(track, speed_sigma_mps=sigma_mps, notes=(*track.notes, note))
+    stated = track.unit or "m/s"
+    unit = unit_of_ratio(ratio.median, _UNIT_TOLERANCE, stated)
+    if unit is None or ratio.scatter > _MAX_SCATTER:
+        found_mps = ratio.median * stated_mps
+        raise TelemetryError(
+            f"its speeds, {stated_mps:.3g} m/s in the median, contradict its positions, which show {found_mps:.3g} "
+            "m/s; no other unit explains it."
+        )
+    note = f"its speeds are in {unit} instead of {stated}, as the positions show; they were converted."
+    factor = MPS_PER_UNIT[unit] / MPS_PER_UNIT[stated]
+    return replace(track, speed_mps=track.speed_mps * factor, unit=unit, notes=(*track.notes, note))
 
 
 def _without_wild_speeds(track: TelemetryTrack) -> TelemetryTrack:

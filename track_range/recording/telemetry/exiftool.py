@@ -98,8 +98,8 @@ def track_of_records(record: object) -> TelemetryTrack | None:
         "video" if is_timed else "utc" if is_utc else "local",
         has_own_speed=any("GPSSpeed" in tags for tags in gps.values()),
     )
-    states_unit = all("GPSSpeedRef" in tags for tags in gps.values())
-    return None if telemetry is None else replace(telemetry, states_unit=states_unit)
+    unit = "m/s" if all("GPSSpeedRef" in tags for tags in gps.values()) else None
+    return None if telemetry is None else replace(telemetry, unit=unit)
 
 
 _Document = tuple[int, int]  # numbers of a document: Doc3-2 is (3, 2), and Doc3 is (3, 0)

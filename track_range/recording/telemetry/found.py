@@ -1,6 +1,7 @@
 """found_telemetry: telemetry of the files of a recording on the clock of the recording, in a fixed order of preference.
 
-    inside the video file  >  beside it, with its name: GPX, NMEA, SRT, CSV, 70mai's and BlackVue's logs
+    inside the video file  >  beside it, with its name: GPX, NMEA, SRT, CSV, VBO, TCX, KML, FIT, 70mai's and
+                              BlackVue's logs
 
 Telemetry that cannot be used is a note, and the next file is tried.
 """
@@ -25,12 +26,13 @@ from track_range.recording.telemetry.containers.ligogps import read_ligogps
 from track_range.recording.telemetry.containers.mp4_boxes import MAX_TELEMETRY_BYTES, Movie, read_at, read_movie
 from track_range.recording.telemetry.containers.mpeg_ts import packet_bytes, read_mpeg_ts
 from track_range.recording.telemetry.containers.novatek import read_novatek
+from track_range.recording.telemetry.containers.ros_topics import read_ros_topics
 from track_range.recording.telemetry.containers.tesla import read_tesla
 from track_range.recording.telemetry.containers.text_tracks import read_text_tracks
 from track_range.recording.telemetry.exiftool import read_with_exiftool
-from track_range.recording.telemetry.sidecars.reading import SUFFIXES, read_sidecar, sidecar_names
+from track_range.recording.telemetry.sidecars.reading import SUFFIXES, kind_of, read_sidecar, sidecar_names
 from track_range.recording.telemetry.track import COLUMNS, TelemetryError, TelemetryTrack
-from track_range.recording.telemetry.video_clock import on_video_clock
+from track_range.recording.telemetry.video_clock import check_covered, on_video_clock
 
 _MAX_NOTES = 3  # messages about telemetry that is not used
 
@@ -74,19 +76,22 @@ def named_telemetry(path: Path, parts: Sequence[VideoPart]) -> FoundTelemetry:
     is_sidecar = path.suffix.lower() in SUFFIXES
     track = read_sidecar(path, first.path.name, whole_s) if is_sidecar else _in_video(path)
     if track is None:
-        raise TelemetryError(f"{path}: expected speeds or positions with times, found none.")
+        raise TelemetryError(f"{path}: expected speeds or positions with times, found {kind_of(path) or 'none'}.")
     track, sigma_s = _checked(track, path, recording)
+    check_covered(track.time_s, whole_s, str(path))
     notes = tuple(f"{path.name}: {note}" for note in track.notes)
     return FoundTelemetry(track=track, sigma_s=sigma_s, notes=notes, files=(path,))
 
 
 def _inside(part: VideoPart) -> tuple[TelemetryTrack, Path] | None:
-    track = _in_video(part.path) if part.path.is_file() else None
+    track = _in_video(part.path)
     return None if track is None else (track, part.path)
 
 
 def _in_video(path: Path) -> TelemetryTrack | None:
     """Telemetry inside a video file: of our readers, otherwise of ExifTool, otherwise the error of ours."""
+    if (track := read_ros_topics(path)) is not None or not path.is_file():
+        return track
     try:
         track = embedded(path)
     except TelemetryError:

@@ -25,7 +25,7 @@ _COURSE_AGREEMENT = 0.3  # largest difference to the stated speed at which the c
 _UNITS = (  # notations, in the order in which they are looked for
     ("km/h", re.compile(r"km\s?/?\s?h|kmph|kph|km\s?/\s?hr", re.IGNORECASE)),
     ("mph", re.compile(r"mph|mi\s?/\s?h|miles", re.IGNORECASE)),
-    ("m/s", re.compile(r"m\s?/\s?s|mps|m\s?s-1|meters?_?\s?per|metres?_?\s?per", re.IGNORECASE)),
+    ("m/s", re.compile(r"m\s?/\s?s|mps|m\s?s-1|met(?:er|re)s?_?\s?(?:per|/)", re.IGNORECASE)),
     ("kn", re.compile(r"knots?|(?<![a-z])k[nt]s?(?![a-z])", re.IGNORECASE)),
 )
 
@@ -117,8 +117,8 @@ def in_known_unit(samples: Sequence[Sample], unit: Unit) -> tuple[list[Sample], 
         return list(samples), ()
     time_s, _, speed_mps, _, latitude_deg, longitude_deg = np.array(samples, np.float64).reshape(-1, 6).T
     moved = speed_from_positions(time_s, latitude_deg, longitude_deg, time_s)
-    ratio, _ = speed_ratio(moved, time_s, speed_mps, _MIN_MOVING)
-    confirmed = None if ratio is None else unit_of_ratio(ratio * MPS_PER_UNIT["km/h"], _UNIT_TOLERANCE)
+    ratio = speed_ratio(moved, time_s, speed_mps, _MIN_MOVING).median
+    confirmed = None if math.isnan(ratio) else unit_of_ratio(ratio, _UNIT_TOLERANCE, "km/h")
     if confirmed is not None:
         factor = MPS_PER_UNIT[confirmed] / MPS_PER_UNIT["km/h"]
         return [sample._replace(speed_mps=sample.speed_mps * factor) for sample in samples], ()

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,12 +22,14 @@ from track_range.ranging.world.ego_speed import EgoSpeed, EgoSpeedError, open_eg
 from track_range.recording.live.live_video import LiveVideo
 from track_range.recording.recorded_video import VideoPart
 from track_range.recording.recording import Recording
+from track_range.recording.telemetry.checks import with_unit
 from track_range.recording.telemetry.found import FoundTelemetry, candidates, named_telemetry
 from track_range.recording.telemetry.image_evidence import SPAN_S, contradiction, motion_of
 from track_range.recording.telemetry.sidecars.reading import OXTS_NAME, SPEED_TABLE_SUFFIXES, SUFFIXES, TABLE_NAME
-from track_range.recording.telemetry.sidecars.speed_csv import is_telemetry_csv
+from track_range.recording.telemetry.sidecars.speed_csv import has_positions, is_telemetry_csv
 from track_range.recording.telemetry.time_offset import MotionSeries, TimeOffset, estimated_offset
 from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
+from track_range.recording.telemetry.video_clock import check_covered
 
 AUTO, OFF = "auto", "off"  # values of --ego-speed that are neither a number nor a path
 _MIN_SPAN_S = 10.0  # length of the video, s, from which motion is measured for a shorter run
@@ -110,7 +113,8 @@ _NO_MOTION = MotionSeries(
 def _named(setting: str, parts: Sequence[VideoPart], motion: Callable[[], MotionSeries]) -> SpeedSource:
     path = Path(setting)
     if math.isfinite(number(setting)) or not path.is_file() or not parts or _is_table(path):
-        return SpeedSource(ego=open_ego_speed(setting))
+        ego, notes = _checked(open_ego_speed(setting), parts)
+        return SpeedSource(ego=ego, notes=notes)
     source, problem = _with_images(named_telemetry(path, parts), motion())
     if problem is not None:
         raise TelemetryError(f"{path}: cannot be used as ego speed: {problem}.")
@@ -121,15 +125,16 @@ def _is_table(path: Path) -> bool:
     """Whether a file is a CSV with times of the video, or one without telemetry, whose error names these columns."""
     if path.suffix.lower() in SUFFIXES and path.suffix.lower() not in SPEED_TABLE_SUFFIXES:
         return False
+    is_csv = path.suffix.lower() in (".csv", ".tsv")
     try:
-        header = {cell.strip().lower() for cell in first_line(path, EgoSpeedError, "CSV").split(",")}
+        cells = re.split("[,;\t]", first_line(path, EgoSpeedError, "CSV"))
     except EgoSpeedError:
-        return path.suffix.lower() in (".csv", "")
-    if any(columns <= header for columns in _TABLE_COLUMNS):
-        return True
-    if path.suffix.lower() != ".csv":
-        return False
-    return not is_telemetry_csv(read_csv_table(path, EgoSpeedError, "columns of times and speeds"))
+        return is_csv or not path.suffix
+    is_named = any(columns <= {cell.strip().lower() for cell in cells} for columns in _TABLE_COLUMNS)
+    if not is_csv:
+        return is_named
+    table = read_csv_table(path, EgoSpeedError, "columns of times and speeds")
+    return not has_positions(table) if is_named else not is_telemetry_csv(table)
 
 
 def _table_beside(part: VideoPart) -> SpeedSource:
@@ -141,13 +146,41 @@ def _table_beside(part: VideoPart) -> SpeedSource:
     for path in (folder / name for folder in folders for name in (TABLE_NAME, OXTS_NAME)):
         if path.exists():
             try:
-                ego = open_ego_speed(str(path))
-            except EgoSpeedError as error:
+                ego, checked = _checked(open_ego_speed(str(path)), (part,))
+            except (EgoSpeedError, TelemetryError) as error:
                 notes.append(f"Telemetry is not used: {error}")
                 continue
             note = f"Ego speed from {path.name} beside the video; --ego-speed off ignores it."
-            return SpeedSource(ego=ego, notes=(*notes, note), files=(path,))
+            return SpeedSource(ego=ego, notes=(*notes, *checked, note), files=(path,))
     return SpeedSource(notes=tuple(notes))
+
+
+def _checked(ego: EgoSpeed, parts: Sequence[VideoPart]) -> tuple[EgoSpeed, tuple[str, ...]]:
+    """A speed in the unit that its positions show, and notes; raises TelemetryError if they contradict it.
+
+    The same for samples that cover less than a tenth of the video.
+    """
+    length_s = max((part.start_s + part.duration_s for part in parts), default=0.0)
+    if len(ego.time_s) > 1:
+        check_covered(ego.time_s, length_s, ego.source)
+    if ego.positions_deg is None:
+        return ego, ()
+    lat, lon = ego.positions_deg.T
+    track = TelemetryTrack(
+        time_s=ego.time_s,
+        speed_mps=np.abs(ego.speed_mps),
+        source=ego.source,
+        clock="video",
+        latitude_deg=lat,
+        longitude_deg=lon,
+    )
+    try:
+        track = with_unit(track)
+    except TelemetryError as error:
+        raise TelemetryError(f"{ego.source}: {error}") from error
+    speed_mps = np.copysign(track.speed_mps, ego.speed_mps)
+    notes = tuple(f"{ego.source}: {note}" for note in track.notes)
+    return replace(ego, speed_mps=speed_mps, speed_sigma_mps=track.speed_sigma_mps), notes
 
 
 def _automatic(parts: Sequence[VideoPart], motion: Callable[[], MotionSeries], notes: tuple[str, ...]) -> SpeedSource:

@@ -48,8 +48,7 @@ class TelemetryTrack:
     utc_s: FloatArray = field(default_factory=lambda: np.empty(0))
     speed_sigma_mps: float = GPS_SPEED_SIGMA_MPS  # standard deviation of the speed
     has_own_speed: bool = True  # whether the file states speeds; False if they are derived from positions
-    # whether the format or the file states the unit of its speeds; otherwise it is checked against the positions
-    states_unit: bool = True
+    unit: str | None = "m/s"  # unit of the speeds in the file, from which they were converted; None = not stated
     notes: tuple[str, ...] = ()  # messages for the user from the reader
 
     def __post_init__(self) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 from track_range.recording.recorded_video import VideoPart
+from track_range.recording.telemetry.sidecars.time_texts import DAY_S
 from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
 
 ZONES_H = (  # differences between local times and UTC in use, hours
@@ -26,6 +27,7 @@ ZONES_H = (  # differences between local times and UTC in use, hours
 _VIDEO_SIGMA_S = 0.5  # standard deviation of the times of GPS samples within a video, s: receivers lag by 0.2 to 1 s
 _CLOCK_SIGMA_S = 1.0  # standard deviation of the difference between two clocks that state whole seconds, s
 _MAX_GAP_S = 3.0  # longest interval between samples that covers a video, as in `ranging.ego_speed`
+_MIN_NAMED = 0.1  # smallest fraction of a video that telemetry which the user names must cover
 _MIN_COVERED = 0.5  # smallest fraction of a video that telemetry of another time zone must cover
 _START_S = 5.0  # largest difference in s between the starts of a video and of telemetry that was recorded with it
 _EQUAL_LENGTH_S, _EQUAL_LENGTH_FRACTION = 3.0, 0.05  # largest difference of equal lengths, and fraction of the length
@@ -50,22 +52,31 @@ def on_video_clock(track: TelemetryTrack, part: VideoPart) -> tuple[TelemetryTra
         note = "the video states no date and time; both have the same length and are taken to start together."
         shifted = replace(track, time_s=track.time_s - track.time_s[0], clock="video", notes=(*track.notes, note))
         return shifted, _CLOCK_SIGMA_S
+    if track.time_s[-1] < 2 * DAY_S:  # times of the day, without a date
+        days = round((part.utc.start_s - float(track.time_s[0])) / DAY_S)
+        track = replace(track, time_s=track.time_s + days * DAY_S)
     starts_s = [part.utc.start_s]
     is_local, uncertainty_s = track.clock == "local" or part.utc.is_local, part.utc.uncertainty_s or 0.0
     if not part.utc.is_local and part.duration_s > 0 and uncertainty_s > max(2.0, 0.5 * part.duration_s):
         starts_s.append(part.utc.start_s - part.duration_s)  # some recorders state the end without saying so
-    fits = [(0.0, start_s) for start_s in starts_s if _covered(track.time_s - start_s, part.duration_s) > 0]
+    fits = [(0.0, start_s) for start_s in starts_s if covered(track.time_s - start_s, part.duration_s) > 0]
     if is_local or not (fits or part.utc.is_stated):
         fits = [
             (zone_s, start_s)
             for zone_s in (3600.0 * hours for hours in sorted(ZONES_H, key=abs))
             for start_s in starts_s
-            if _covered(track.time_s + zone_s - start_s, part.duration_s) >= _MIN_COVERED
+            if covered(track.time_s + zone_s - start_s, part.duration_s) >= _MIN_COVERED
         ]
     if not fits:
+        zones = [3600.0 * h for h in ZONES_H if covered(track.time_s + 3600.0 * h - starts_s[0], part.duration_s) > 0]
+        advice = (
+            ": another day, or another drive."
+            if not zones
+            else (f"; if the video's is local time, give --start-utc as {_text(starts_s[0] - zones[0])}.")
+        )
         raise TelemetryError(
             f"its times, {_text(float(track.time_s[0]))} to {_text(float(track.time_s[-1]))}, are not those of the "
-            f"video, which starts {_text(part.utc.start_s)}: another day, or another drive."
+            f"video, which starts {_text(part.utc.start_s)}{advice}"
         )
     together = [fit for fit in fits if abs(float(track.time_s[0]) + fit[0] - fit[1]) <= _START_S]
     if len(together or fits) > 1:
@@ -78,8 +89,22 @@ def on_video_clock(track: TelemetryTrack, part: VideoPart) -> tuple[TelemetryTra
     return replace(track, time_s=track.time_s + zone_s - start_s, clock="video", notes=notes), _CLOCK_SIGMA_S
 
 
-def _covered(time_s: FloatArray, duration_s: float) -> float:
-    """Fraction of a video that samples cover at these times from its first frame."""
+def check_covered(time_s: FloatArray, length_s: float, source: str) -> None:
+    """Raise TelemetryError, which names the source, if samples that the user names are not those of the video.
+
+    They must cover a tenth of its length, 0 = unknown; (N,) times in s from its first frame.
+    """
+    overlap_s = min(float(time_s[-1]), length_s) - max(float(time_s[0]), 0.0)
+    fraction = max(overlap_s, 0.0) / length_s if length_s else 1.0
+    if fraction < _MIN_NAMED:
+        raise TelemetryError(
+            f"{source}: expected the times of the video, 0 to {length_s:.1f} s, found {time_s[0]:.1f} to "
+            f"{time_s[-1]:.1f} s, which cover {fraction:.0%} of it; give the file of this drive, or --start-utc."
+        )
+
+
+def covered(time_s: FloatArray, duration_s: float) -> float:
+    """Fraction of a video of this length that (N,) samples in the order of time cover, s from its first frame."""
     end_s = max(duration_s, 1.0)
     inner = np.concatenate([[0.0], time_s[(time_s > 0) & (time_s < end_s)], [end_s]])
     before = bool((time_s <= 0).any()) and -float(time_s[time_s <= 0].max()) <= _MAX_GAP_S

@@ -3,6 +3,7 @@ import pytest
 
 from tests.track_range.recording.telemetry.telemetry_files import DEG_PER_M, LATITUDE, LONGITUDE, START_S
 from track_range.recording.telemetry.checks import usable
+from track_range.recording.telemetry.positions import speed_from_positions
 from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
 
 N = 30
@@ -63,10 +64,49 @@ def test_unusable_track(given, word):
     assert "\n" not in str(error.value)
 
 
-def test_invented_positions_do_not_matter():
-    latitude = LATITUDE + np.arange(N) * 37 * DEG_PER_M
-    for lat in (latitude, np.full(N, 50.0)):
-        assert usable(track(8.0, latitude_deg=lat, longitude_deg=np.full(N, LONGITUDE))).speed_mps.max() == 8.0
+def at_mps(position_mps, speed_mps, *, decimals=9, **given):
+    """A track to the north, with speeds of its positions and its own speeds."""
+    lat = np.round(LATITUDE + np.arange(N) * position_mps * DEG_PER_M, decimals)
+    return track(speed_mps, latitude_deg=lat, longitude_deg=np.full(N, round(LONGITUDE, decimals)), **given)
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(3.6, "km/h"), (2.23694, "mph"), (1.94384, "kn")])
+def test_stated_unit_that_positions_contradict(factor, unit):
+    result = usable(at_mps(15.0, 15.0 * factor))
+    assert result.speed_mps == pytest.approx([15.0] * N, rel=1e-4)
+    assert result.notes == (f"its speeds are in {unit} instead of m/s, as the positions show; they were converted.",)
+
+
+def test_speeds_that_no_unit_explains():
+    with pytest.raises(TelemetryError, match=r"8 m/s in the median, contradict its positions, which show 37 m/s"):
+        usable(at_mps(37.0, 8.0))
+    assert usable(at_mps(0.0, 8.0)).speed_mps.max() == 8.0  # one position for a whole drive shows nothing
+
+
+def test_speedometer_that_is_fast():
+    result = usable(at_mps(20.0, 21.6))
+    assert (result.speed_mps.max(), result.speed_sigma_mps) == (21.6, pytest.approx(1.6, abs=0.1))
+    assert "8% above" in result.notes[0]
+
+
+@pytest.mark.parametrize(("decimals", "sigma_mps"), [(7, 0.5), (5, 0.68), (4, 1.04)])
+def test_speed_of_rounded_positions(decimals, sigma_mps):
+    rounded = at_mps(14.0, np.nan, decimals=decimals)
+    derived = speed_from_positions(rounded.time_s, rounded.latitude_deg, rounded.longitude_deg, rounded.utc_s)
+    assert derived.speed_sigma_mps == pytest.approx(sigma_mps, abs=0.03)
+    error = derived.speed_mps - 14.0
+    assert np.sqrt(np.mean(error**2)) < 1.2 * sigma_mps
+    assert abs(error.mean()) < 0.2
+
+
+def test_positions_that_are_repeated_until_the_next_fix():
+    time_s = np.arange(0, 60, 0.1)
+    speed_mps = np.where((time_s > 20) & (time_s < 35), 0.0, 14.0)
+    lat = LATITUDE + DEG_PER_M * np.repeat(np.cumsum(speed_mps)[::10] * 0.1, 10)
+    derived = speed_from_positions(time_s, lat, np.full(600, LONGITUDE), np.full(600, np.nan))
+    moving = np.abs(derived.time_s - 27.5) > 8.6
+    assert derived.speed_mps[moving] == pytest.approx(14.0, abs=0.01)
+    assert derived.speed_mps[np.abs(derived.time_s - 27.5) < 5].max() == 0.0
 
 
 def test_pause_is_no_jump():

@@ -97,7 +97,7 @@ def test_units(unit, mps):
     given = {"Doc1:SampleTime": 0, "Doc1:GPSSpeed": 10, "Doc1:GPSLatitude": 50, "Doc1:GPSLongitude": 8}
     telemetry = track_of_records(given | ({"Doc1:GPSSpeedRef": unit} if unit else {}))
     assert telemetry.speed_mps == pytest.approx([mps], rel=1e-4)
-    assert telemetry.states_unit == (unit is not None)
+    assert telemetry.unit == (unit and "m/s")
 
 
 def test_records_of_one_sample_are_spread_over_its_duration():

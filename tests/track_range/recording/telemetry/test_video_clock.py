@@ -30,7 +30,7 @@ def test_time_zone_is_corrected_and_noted(zone_h):
 
 
 def test_no_time_zone_where_the_user_states_the_time():
-    with pytest.raises(TelemetryError, match="another drive"):
+    with pytest.raises(TelemetryError, match="give --start-utc as 2026-05-03 12:00:00"):
         on_video_clock(track(START_S + 7200), part(source="--start-utc"))
 
 

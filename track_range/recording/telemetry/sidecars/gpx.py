@@ -48,7 +48,7 @@ def read_gpx(path: Path) -> TelemetryTrack:
         first.setdefault(sample.utc_s, sample)
     samples = list(first.values())
     if any(math.isfinite(sample.speed_mps) for sample in samples):
-        return plain_track(samples, path.name, "utc", states_unit=False)
+        return plain_track(samples, path.name, "utc", unit=None)
     utc_s, _, _, _, latitude_deg, longitude_deg = np.array(samples).T
     derived = speed_from_positions(utc_s, latitude_deg, longitude_deg, utc_s, source=path.name, clock="utc")
     if derived is None:

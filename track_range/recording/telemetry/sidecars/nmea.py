@@ -1,4 +1,7 @@
-"""NMEA 0183: sentences RMC in text files, subtitles and records; speed in knots, course, date and time in UTC."""
+"""NMEA 0183: sentences RMC in text files, subtitles and records; speed in knots, course, date and time in UTC.
+
+Files without RMC are read from GGA (time of the day, position), VTG (speed, course) and ZDA (date).
+"""
 
 from __future__ import annotations
 
@@ -11,13 +14,18 @@ from operator import xor
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from track_range.foundation.files.input_files import read_text
-from track_range.foundation.files.numeric_text import plain_number
+from track_range.foundation.files.numeric_text import number, plain_number
 from track_range.recording.telemetry.positions import MPS_PER_UNIT
-from track_range.recording.telemetry.samples import Sample, plain_track
+from track_range.recording.telemetry.samples import Sample, plain_track, track
+from track_range.recording.telemetry.sidecars.time_texts import unwrapped
 from track_range.recording.telemetry.track import MAX_SIDECAR_BYTES, TelemetryError, TelemetryTrack, optional_package
 
 _RMC = re.compile(r"\$[A-Z]{2}RMC,[^$*\r\n]{10,90}(?:\*([0-9A-Fa-f]{2}))?")  # of any satellite system
+
+_OTHERS = re.compile(r"\$[A-Z]{2}(GGA|VTG|ZDA),[^$*\r\n]{6,110}(?:\*[0-9A-Fa-f]{2})?")
 
 _RMC_IN_RECORD = re.compile(rb"([A-Z]{2}RMC,[ -#%-)+-:<-~]{6,90}(?:\*[0-9A-Fa-f]{2})?)")
 """RMC sentence in a record; the dollar sign is missing in some subtitles."""
@@ -33,8 +41,46 @@ def read_nmea(path: Path) -> TelemetryTrack | None:
     """
     text = read_text(path, TelemetryError, "NMEA sentences", max_bytes=MAX_SIDECAR_BYTES)
     fixes = [fix for fix in fixes_in(text.splitlines(), str(path)) if fix is not None]
+    if not fixes:
+        return _without_rmc(text.splitlines(), path)
     dated = [fix.at(fix.utc_s) for fix in fixes if math.isfinite(fix.utc_s)]
-    return plain_track(dated, path.name, "utc") if dated else None
+    return plain_track(dated, path.name, "utc", unit="kn") if dated else None
+
+
+def _without_rmc(lines: Iterable[str], path: Path) -> TelemetryTrack | None:
+    """Telemetry of the sentences GGA, VTG and ZDA of a file; None = it has no GGA.
+
+    Times are those of the day where no ZDA states the date.
+    """
+    sentences = [match for line in lines if (match := _OTHERS.search(line)) is not None]
+    if not any(match[1] == "GGA" for match in sentences):
+        return None
+    pynmea2 = optional_package("pynmea2", str(path))
+    samples: list[Sample] = []
+    day_s = 0.0
+    for match in sentences:
+        try:
+            message = pynmea2.parse(match.group().partition("*")[0])
+            if match[1] == "GGA" and message.timestamp:
+                t = message.timestamp
+                clock_s = 3600 * t.hour + 60 * t.minute + t.second + t.microsecond / 1e6
+                has_fix = message.gps_qual and message.lat and message.lon
+                lat, lon = (float(message.latitude), float(message.longitude)) if has_fix else (math.nan, math.nan)
+                samples.append(Sample(clock_s, clock_s, math.nan, math.nan, lat, lon))
+            elif match[1] == "VTG" and samples:
+                speed_mps = number(message.spd_over_grnd_kmph or "") * MPS_PER_UNIT["km/h"]
+                course_deg = plain_number(message.true_track)
+                samples[-1] = samples[-1]._replace(speed_mps=speed_mps, course_deg=course_deg)
+            elif match[1] == "ZDA":
+                day_s = datetime(message.year, message.month, message.day, tzinfo=UTC).timestamp()
+        except (ValueError, AttributeError, LookupError, TypeError):
+            continue
+    if not samples:
+        return None
+    rows = np.array(samples)
+    rows[:, 0] = rows[:, 1] = unwrapped(rows[:, 0]) + day_s
+    has_speed = bool(np.isfinite(rows[:, 2]).any())
+    return track([Sample(*row) for row in rows.tolist()], path.name, "utc", has_own_speed=has_speed)
 
 
 def has_rmc(content: bytes) -> bool:

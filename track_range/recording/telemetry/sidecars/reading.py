@@ -10,11 +10,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+from track_range.recording.telemetry.sidecars.fit import read_fit
 from track_range.recording.telemetry.sidecars.gpx import read_gpx
 from track_range.recording.telemetry.sidecars.nmea import read_nmea
 from track_range.recording.telemetry.sidecars.seventymai import read_seventymai
 from track_range.recording.telemetry.sidecars.speed_csv import read_csv
 from track_range.recording.telemetry.sidecars.srt import read_srt
+from track_range.recording.telemetry.sidecars.vbo import read_vbo
+from track_range.recording.telemetry.sidecars.xml_tracks import read_xml_track
 from track_range.recording.telemetry.track import TelemetryTrack
 
 TABLE_NAME, OXTS_NAME = "ego_speed.csv", "oxts"  # speeds beside a video that are no telemetry: a table, KITTI's folder
@@ -30,16 +33,19 @@ class Sidecar(NamedTuple):
 
 SIDECARS = (  # in the order in which their files are looked for, and in which a file is tried
     Sidecar((".gpx",), lambda path, video, duration_s: read_gpx(path)),
-    Sidecar((".nmea",), lambda path, video, duration_s: read_nmea(path)),
+    Sidecar((".nmea", ".log"), lambda path, video, duration_s: read_nmea(path)),
     Sidecar((".srt",), lambda path, video, duration_s: read_srt(path)),
-    Sidecar((".csv",), lambda path, video, duration_s: read_csv(path)),
+    Sidecar((".csv", ".tsv"), lambda path, video, duration_s: read_csv(path)),
+    Sidecar((".vbo",), lambda path, video, duration_s: read_vbo(path)),
+    Sidecar((".tcx", ".kml"), lambda path, video, duration_s: read_xml_track(path)),
+    Sidecar((".fit",), lambda path, video, duration_s: read_fit(path)),
     Sidecar((".txt", ".gps"), read_seventymai, name="GPSData000001.txt"),
     Sidecar((".txt", ".gps"), lambda path, video, duration_s: read_nmea(path)),
 )
 
 SUFFIXES = tuple(dict.fromkeys(suffix for sidecar in SIDECARS for suffix in sidecar.suffixes))
 
-SPEED_TABLE_SUFFIXES = (".csv", ".txt")  # suffixes that tables of times and speeds have, too (`--ego-speed FILE`)
+SPEED_TABLE_SUFFIXES = (".csv", ".tsv", ".txt")  # of tables of times and speeds, too (`--ego-speed FILE`)
 _CAMERA_LETTER = re.compile(r"(?<=_[A-Z])[FRIO]$")  # BlackVue's letter of the camera, which its logs lack
 
 
@@ -60,3 +66,22 @@ def read_sidecar(path: Path, video: str, duration_s: float) -> TelemetryTrack | 
     readers = [sidecar.read for sidecar in SIDECARS if path.suffix.lower() in sidecar.suffixes]
     tracks = (read(path, video, duration_s) for read in readers)
     return next((track for track in tracks if track is not None), None)
+
+
+_KINDS = (  # files without telemetry that can be read: pattern of the name, and what it is
+    (
+        r"event\.json$",
+        "Tesla's event.json, which states one position and no speed; the videos of 2025 and later have it",
+    ),
+    (r"[rq]log(\.bz2|\.zst)?$", "a log of openpilot; give the folder processed_log of comma2k19, or its speeds as CSV"),
+    (r"\.(mf4|mdf|blf|asc|dbc)$", "a log of a CAN bus; export the speed as CSV with its unit in the heading"),
+    (r"\.(ubx|rtcm3?|sbf)$", "raw data of a GPS receiver; convert it to NMEA"),
+    (r"\.(ulg|tlog|bin|dat)$", "a binary log; export the speed as CSV with its unit in the heading"),
+    (r"\.kmz$", "a compressed KML file; unpack it"),
+    (r"\.(json|geojson)$", "JSON, which is not read; export the speed as CSV or GPX"),
+)
+
+
+def kind_of(path: Path) -> str:
+    """What a file that is not read seems to be, with what to do, after "found"; empty = unknown."""
+    return next((kind for pattern, kind in _KINDS if re.search(pattern, path.name, re.IGNORECASE)), "")

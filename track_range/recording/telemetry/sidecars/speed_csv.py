@@ -1,14 +1,19 @@
 """CSV files with speeds or positions: those of loggers, of extraction tools, and of apps.
 
-The columns are found by their names. A speed needs a unit in its heading (`speed_kmh`, `Speed (m/s)`, `speed [kn]`);
-without one, it is inferred if the file has positions too, and the file is refused otherwise.
+The columns are found by their names. Components of the velocity are combined. Of several speeds, and of several units,
+the one that the positions in the file show is used; without positions, a speed needs a unit in its heading
+(`speed_kmh`, `Speed (m/s)`, `speed [kn]`), and the car's own instruments come before its GPS receiver.
 """
 
 from __future__ import annotations
 
+import math
 import re
-from datetime import UTC, datetime
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,30 +23,66 @@ from track_range.foundation.files.input_files import shortened
 from track_range.foundation.files.numeric_text import numbers
 from track_range.recording.telemetry.positions import MPS_PER_UNIT, speed_from_positions, speed_ratio, unit_of_ratio
 from track_range.recording.telemetry.samples import plain_track, unit_in
+from track_range.recording.telemetry.sidecars.time_texts import DAY_S, times_of_texts
 from track_range.recording.telemetry.track import Clock, TelemetryError, TelemetryTrack
 
 _SPEED = re.compile(r"speed|velocity|(?<![a-z])v(?:el)?_(?:mps|kmh)")
 _NOT_SPEED = re.compile(
-    r"vertical|3d|accuracy|limit|wind|sigma|error|z.?speed|angular|fan|engine|rpm|unit|"
-    r"max|avg|average|target|lead|diff|delta|cruise|allowed|(?<![a-z])set(?![a-z])"
+    r"vertical|3d|accura|limit|wind|sigma|error|z.?speed|angular|accel|fan|engine|rpm|unit|valid|flag|status|"
+    r"max|avg|average|target|front|lead|preced|ahead|object|other|(?<![a-z])(?:obj|rel|set)(?![a-z])|relative|diff|"
+    r"delta|cruise|allowed"
+)
+_RANKS = (  # patterns of preferred names, best first
+    re.compile(r"(?<![a-z])(?:ego|own|host|vehicle|car|obd|can)(?![a-z])|speedometer"),
+    re.compile(r"gps|gnss|ground|(?<![a-z])(?:sog|2d)(?![a-z])"),
 )
 _LATITUDE = re.compile(r"(?<![a-z])lat(?:itude)?(?![a-z])")
-_LONGITUDE = re.compile(r"(?<![a-z])(?:lon|lng|long)(?:gitude|itude)?(?![a-z])")
+_LONGITUDE = re.compile(r"(?<![a-z])(?:lon|lng|longt?)(?:gitude|itude)?(?![a-z])")
 _COURSE = re.compile(r"(?<![a-z])(?:course|heading|bearing|track)(?![a-z])")
 _VIDEO_TIME = re.compile(r"^(?:time_s|t|seconds?|elapsed.*|video_?time.*|cts|time ?\(?\[?s\)?\]?|offset.*)$")
 _CLOCK_TIME = re.compile(r"(?:^|[^a-z])(?:utc|date|time|timestamp|datetime|epoch|gpstime)(?:$|[^a-z])")
+_DATE, _TIME_OF_DAY = re.compile(r"(?:^|[^a-z])date$"), re.compile(r"(?:^|[^a-z])time$")  # in columns of their own
+
+_VELOCITY = re.compile(r"(?:v|vel|velocity|speed|linear)(?=[^a-z]|$)|v[neduxyz]?$")
+_AXES = dict(zip("nedu", ("north", "east", "down", "up"), strict=True))
+_AXES |= {"longitudinal": "forward", "right": "left", "lateral": "left"}
+_AXIS = re.compile(
+    r"(?<![a-z])(?:v|vel)?(north|east|down|up|forward|longitudinal|lateral|left|right|[neduxyz])(?:ward)?(?![a-z])"
+)
+_UNIT_OF_NAME = re.compile(r"[(\[].*$|_(?:mps|kmh|kph|mph|kn)$")
+# Components of which the length is the speed, best first. In x, y and z, the vertical one is unknown and small.
+_HORIZONTAL = (("north", "east"), ("x", "y", "z"), ("x", "y"), ("forward", "left"), ("forward",))
+
 _EPOCH_UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3), (1e8, 1.0))  # smallest value, seconds per unit
-_UNIT_TOLERANCE, _MIN_MOVING = 0.08, 10  # difference to speeds from positions, and moving samples, that show a unit
+_STEP_UNITS = ((1e7, 1e-9), (1e4, 1e-6), (10.0, 1e-3))  # smallest median step of times since the start, alike
+_UNIT_TOLERANCE, _MIN_MOVING = 0.05, 10  # difference to speeds from positions, and moving samples, that show a unit
+_MAX_SCATTER = 0.2  # largest median relative deviation of single speeds from those of the positions
+
+
+class _Speeds(NamedTuple):
+    """A column of speeds, or the length of components of the velocity."""
+
+    name: str  # of the columns, for notes
+    rank: int  # preferred are small ones
+    unit: str | None  # in the heading
+    values: FloatArray  # (N,) >= 0
 
 
 def is_telemetry_csv(table: CsvTable) -> bool:
     """Whether a table has a column of speeds or positions, and of times."""
-    return bool(_columns(table, _SPEED, _NOT_SPEED) or _columns(table, _LATITUDE)) and _time_column(table) is not None
+    table = _wide(table)
+    has_speed = _columns(table, _SPEED, _NOT_SPEED) or _components(table) or _columns(table, _LATITUDE)
+    return bool(has_speed) and _time_column(table) is not None
+
+
+def has_positions(table: CsvTable) -> bool:
+    """Whether a table has columns of positions."""
+    return bool(_columns(table, _LATITUDE) and _columns(table, _LONGITUDE))
 
 
 def read_csv(path: Path) -> TelemetryTrack | None:
     """Telemetry of a CSV file; None = no such columns. Raises TelemetryError without readable times or unit."""
-    table = read_csv_table(path, TelemetryError, "columns of times and speeds")
+    table = _wide(read_csv_table(path, TelemetryError, "columns of times and speeds"))
     if not is_telemetry_csv(table) or not len(table):
         return None
     time_s, clock = _times(table)
@@ -55,28 +96,116 @@ def read_csv(path: Path) -> TelemetryTrack | None:
         )
     utc_s = time_s if clock != "video" else np.full(len(time_s), np.nan)
     positions = speed_from_positions(time_s, latitude_deg, longitude_deg, utc_s, source=path.name, clock=clock)
-    speeds = _columns(table, _SPEED, _NOT_SPEED)
+    speeds = _speeds(table)
     if not speeds:
-        if positions is None:
-            raise TelemetryError(f"{path}: expected speeds, or at least two positions, found fewer.")
-        return positions
-    named = next((name for name in speeds if unit_in(name) is not None), speeds[0])
-    values, unit = table.numbers(named), unit_in(named)
-    notes: tuple[str, ...] = ()
-    if unit is None:
-        ratio, _ = speed_ratio(positions, time_s, values, _MIN_MOVING)
-        unit = None if ratio is None else unit_of_ratio(ratio, _UNIT_TOLERANCE)
-        if unit is None:
-            raise TelemetryError(
-                f"{path}: expected a unit in the heading {shortened(repr(named))}, found none; rename it to speed_mps "
-                "or speed_kmh."
-            )
-        notes = (f"the speeds have no unit; compared with the positions they are in {unit}.",)
+        if positions is not None:
+            return positions
+        incomplete = " and ".join(repr(name) for name in _components(table))
+        found = f"only {incomplete}, of which it is not the length" if incomplete else "fewer"
+        raise TelemetryError(f"{path}: expected speeds, or at least two positions, found {shortened(found)}.")
+    chosen, unit, note = _chosen(path, speeds, positions, time_s)
     course = _columns(table, _COURSE)
     course_deg = table.numbers(course[0]) if course else np.full(len(table), np.nan)
-    speed_mps = np.abs(values) * MPS_PER_UNIT[unit]
+    speed_mps = chosen.values * MPS_PER_UNIT[unit]
     samples = np.column_stack([time_s, utc_s, speed_mps, course_deg, latitude_deg, longitude_deg])[known]
-    return plain_track(samples, path.name, clock, notes=notes)
+    return plain_track(samples, path.name, clock, notes=(note,), unit=unit)
+
+
+def _chosen(
+    path: Path, speeds: Sequence[_Speeds], positions: TelemetryTrack | None, time_s: FloatArray
+) -> tuple[_Speeds, str, str]:
+    """The speeds to use, their unit, and a note that names both; raises TelemetryError where they are not known."""
+    shown: dict[str, str] = {}  # units that the positions show
+    for column in speeds:
+        ratio = speed_ratio(positions, time_s, column.values, _MIN_MOVING)
+        if not math.isnan(ratio.median) and ratio.scatter <= _MAX_SCATTER:
+            unit = unit_of_ratio(ratio.median, _UNIT_TOLERANCE)
+            shown |= {column.name: unit} if unit is not None else {}
+    agreeing = [column for column in speeds if shown.get(column.name, "") in (column.unit, *MPS_PER_UNIT)]
+    agreeing.sort(key=lambda column: column.unit not in (None, shown[column.name]))  # as stated before converted
+    stated = [column for column in speeds if column.unit is not None]
+    others = {column.name for column in speeds}
+    if agreeing:
+        column, unit = agreeing[0], shown[agreeing[0].name]
+        how = {unit: "as stated and as the positions show", None: "as the positions show"}.get(
+            column.unit, f"as the positions show, not in {column.unit} as stated"
+        )
+    elif stated:
+        column, unit, how = stated[0], stated[0].unit or "m/s", "as stated; no positions confirm it"
+        rivals = [other for other in stated if other.rank == column.rank and _differ(other, column)]
+        if rivals:
+            raise TelemetryError(
+                f"{path}: expected one speed of the car, found {shortened(repr(column.name))} and "
+                f"{shortened(repr(rivals[0].name))}, which differ; remove one, or rename the right one to "
+                f"ego_speed_{'mps' if unit == 'm/s' else 'kmh'}."
+            )
+    else:
+        raise TelemetryError(
+            f"{path}: expected a unit in the heading {shortened(repr(speeds[0].name))}, found none; rename it to "
+            "speed_mps or speed_kmh."
+        )
+    others.discard(column.name)
+    unused = f"; not {shortened(', '.join(sorted(others)))}" if others else ""
+    return column, unit, f"the speed is {shortened(column.name)} in {unit}, {how}{unused}."
+
+
+def _differ(first: _Speeds, second: _Speeds) -> bool:
+    """Whether two columns of speeds with units differ by more than 10 % in the median."""
+    a, b = (column.values * MPS_PER_UNIT[column.unit or "m/s"] for column in (first, second))
+    known = np.isfinite(a) & np.isfinite(b)
+    return bool(known.any()) and float(np.median(np.abs(a - b)[known])) > 0.1 * float(np.median(np.abs(b[known]))) + 0.3
+
+
+def _speeds(table: CsvTable) -> list[_Speeds]:
+    """Speeds of a table, in the order of preference."""
+    components = _components(table)
+    groups: dict[tuple[str, str | None], dict[str, str]] = defaultdict(dict)
+    for name, (stem, axis) in components.items():
+        groups[stem, unit_in(name)].setdefault(axis, name)
+    found = [
+        _Speeds(name, _rank(name), unit_in(name), np.abs(table.numbers(name)))
+        for name in _columns(table, _SPEED, _NOT_SPEED)
+        if name not in components
+    ]
+    for (_, unit), by_axis in groups.items():
+        axes = next((axes for axes in _HORIZONTAL if set(axes) <= set(by_axis)), ())
+        if axes:
+            names = [by_axis[axis] for axis in axes]
+            length = np.linalg.norm([table.numbers(name) for name in names], axis=0)
+            found.append(_Speeds(" and ".join(names), min(_rank(names[0]), 1), unit, length))
+    return sorted(found, key=lambda speeds: (speeds.rank, speeds.unit is None))
+
+
+def _components(table: CsvTable) -> dict[str, tuple[str, str]]:
+    """Headings of components of the velocity, with the rest of the name and the axis."""
+    found: dict[str, tuple[str, str]] = {}
+    for heading in dict.fromkeys(table.header):
+        name = _UNIT_OF_NAME.sub("", heading[:100]).strip()
+        axis = _AXIS.search(name.replace("_", " "))
+        if axis is not None and _VELOCITY.search(name.replace("_", " ")) and not _NOT_SPEED.search(name):
+            stem = name.replace("_", " ").replace(axis[0], "", 1)
+            found[heading] = (stem, _AXES.get(axis[1], axis[1]))
+    return found
+
+
+def _rank(name: str) -> int:
+    return next((rank for rank, pattern in enumerate(_RANKS) if pattern.search(name)), len(_RANKS))
+
+
+def _wide(table: CsvTable) -> CsvTable:
+    """The rows of the best speed, as a column, of a table with one value per row (Car Scanner: pid, value, units)."""
+    if not {"pid", "value"} <= set(table.header):
+        return table
+    names = [f"{pid} ({unit})".lower() for pid, unit in zip(table.texts("pid"), table.texts("units"), strict=True)]
+    speeds = [name for name in dict.fromkeys(names) if _SPEED.search(name) and not _NOT_SPEED.search(name)]
+    if not speeds:
+        return table
+    best = min(speeds, key=_rank)
+    rows = [index for index, name in enumerate(names) if name == best]
+    header = tuple(best if name == "value" else name for name in table.header if name != "pid")
+    pid = table.header.index("pid")
+    cells = [[cell for column, cell in enumerate(table.rows[row]) if column != pid] for row in rows]
+    return replace(table, header=header, rows=cells, lines=[table.lines[row] for row in rows])
 
 
 def _columns(table: CsvTable, name: re.Pattern[str], excluded: re.Pattern[str] | None = None) -> list[str]:
@@ -96,23 +225,23 @@ def _time_column(table: CsvTable) -> str | None:
 
 
 def _times(table: CsvTable) -> tuple[FloatArray, Clock]:
-    """(N,) times, NaN = unknown, and their clock: numbers, or dates and times in ISO 8601."""
+    """(N,) times, NaN = unknown, and their clock: numbers, or dates and times."""
     name = _time_column(table) or ""
     texts = table.texts(name)
+    dates, times = (_columns(table, pattern) for pattern in (_DATE, _TIME_OF_DAY))
+    if dates and times and not any(":" in text for text in table.texts(dates[0])):
+        texts = [" ".join(cells) for cells in zip(table.texts(dates[0]), table.texts(times[0]), strict=True)]
     values = np.array(numbers(texts))
-    if np.isfinite(values).sum() > len(values) / 2:
-        typical = float(np.nanmedian(np.abs(values)))
-        for least, scale in _EPOCH_UNITS:
-            if typical > least:
-                return values * scale, "utc"
-        is_ms = name == "cts" or re.search(r"ms(?![a-z])|milli", name) is not None
-        return values * (1e-3 if is_ms else 1.0), "video"
-    seconds, n_zoned = np.full(len(texts), np.nan), 0
-    for index, text in enumerate(texts):
-        try:
-            moment = datetime.fromisoformat(text[:40].replace("/", "-"))
-            n_zoned += moment.tzinfo is not None
-            seconds[index] = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
-        except (ValueError, OverflowError):
-            continue
-    return seconds, "utc" if n_zoned > len(texts) / 2 else "local"
+    known = values[np.isfinite(values)]
+    if len(known) <= len(values) / 2:
+        return times_of_texts(texts, table.path)
+    typical, step = float(np.median(np.abs(known))), float(np.median(np.diff(known))) if len(known) > 1 else 0.0
+    for least, scale in _EPOCH_UNITS:
+        if typical > least:
+            return values * scale, "utc"
+    if name == "seconds" and 3600 < typical < 2 * DAY_S:  # Car Scanner's, since midnight
+        return values, "local"
+    is_ms = name == "cts" or re.search(r"ms(?![a-z])|milli", name) is not None
+    is_s = re.search(r"(?:^|_)s$|\(s\)|\[s\]|second", name) is not None
+    stated = 1e-3 if is_ms else 1.0 if is_s else None
+    return values * (stated or next((scale for least, scale in _STEP_UNITS if step > least), 1.0)), "video"

@@ -31,7 +31,7 @@ _WITHOUT_UNIT = r"\bspeed\s*[:=]\s*(\d{1,3}(?:\.\d{1,6})?)(?![\d.]|\s?[a-z/])"
 
 _DEGREES = r"\s*([-+]?\d{1,3}\.\d+)"
 _POSITION = (
-    (r"latitude\s*[:=]" + _DEGREES, r"long?i?tude\s*[:=]" + _DEGREES),
+    (r"latitude\s*[:=]" + _DEGREES, r"long?t?i?tude\s*[:=]" + _DEGREES),
     (r"\blat\s*[:=]?" + _DEGREES, r"\blo?ng?\s*[:=]?" + _DEGREES),
 )
 _DJI_POSITION = rf"GPS\s*\({_DEGREES}\s*,{_DEGREES}\s*,"  # DJI's older form: longitude first

@@ -1,0 +1,88 @@
+"""Positions and speeds in MCAP files and ROS bags: NavSatFix, TwistStamped, Odometry and their relatives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray
+from track_range.foundation.errors import UserError
+from track_range.recording.bags.bag import is_bag, open_bag
+from track_range.recording.bags.container import Bag, DamagedError, Topic
+from track_range.recording.bags.decoding import is_readable, message_reader, stamp_s
+from track_range.recording.telemetry.positions import speed_from_positions
+from track_range.recording.telemetry.samples import MAX_SAMPLES, plain_track
+from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
+
+
+def _linear(twist: Any) -> tuple[float, ...]:
+    return (float(np.linalg.norm([twist.linear.x, twist.linear.y, twist.linear.z])),)
+
+
+_SPEEDS: dict[
+    str, Callable[[Any], tuple[float, ...]]
+] = {  # (1,) m/s from a message, by type, in the order of preference
+    "geometry_msgs/msg/TwistStamped": lambda message: _linear(message.twist),
+    "geometry_msgs/msg/TwistWithCovarianceStamped": lambda message: _linear(message.twist.twist),
+    "nav_msgs/msg/Odometry": lambda message: _linear(message.twist.twist),
+}
+_POSITIONS = ("sensor_msgs/msg/NavSatFix", "foxglove.LocationFix", "foxglove_msgs/msg/LocationFix")
+_COMMAND = "cmd"  # in the names of topics with wanted speeds
+
+
+def read_ros_topics(path: Path) -> TelemetryTrack | None:
+    """Telemetry of a bag, None = no bag or no such topics; raises TelemetryError if it cannot be read."""
+    if not is_bag(path):
+        return None
+    try:
+        bag = open_bag(path)
+        time_s, speed_mps, speed_topic = np.empty(0), np.empty(0), ""
+        topics = [topic for topic in bag.topics.values() if topic.type in _SPEEDS and _COMMAND not in topic.name]
+        for topic in sorted(topics, key=lambda topic: list(_SPEEDS).index(topic.type)):
+            time_s, speeds = _values(bag, topic, _SPEEDS[topic.type])
+            speed_mps, speed_topic = speeds[:, 0], topic.name
+            if len(time_s):
+                break
+        fixes = next((topic for topic in bag.topics.values() if topic.type in _POSITIONS), None)
+        fix_s, positions = (np.empty(0), np.empty((0, 2))) if fixes is None else _values(bag, fixes, _position)
+    except UserError as error:
+        raise TelemetryError(str(error)) from error
+    known = np.isfinite(positions).all(axis=1)
+    fix_s, latitude_deg, longitude_deg = fix_s[known], *positions[known].T
+    if len(time_s):
+        at_s = [
+            np.interp(time_s, fix_s, values, left=np.nan, right=np.nan) if len(fix_s) else np.full(len(time_s), np.nan)
+            for values in (latitude_deg, longitude_deg)
+        ]
+        rows = np.column_stack([time_s, time_s, speed_mps, np.full(len(time_s), np.nan), *at_s])
+        return plain_track(rows, f"topic {speed_topic}", "utc")
+    source = f"topic {fixes.name}" if fixes is not None else ""
+    return speed_from_positions(fix_s, latitude_deg, longitude_deg, fix_s, source=source, clock="utc")
+
+
+def _position(message: Any) -> tuple[float, float]:
+    status = getattr(getattr(message, "status", None), "status", 0)
+    return (float(message.latitude), float(message.longitude)) if status >= 0 else (np.nan, np.nan)
+
+
+def _values(bag: Bag, topic: Topic, read: Callable[[Any], tuple[float, ...]]) -> tuple[FloatArray, FloatArray]:
+    """(N,) times in s since 1970, and (N, K) values of the readable messages of a topic."""
+    times_s: list[float] = []
+    values: list[tuple[float, ...]] = []
+    if is_readable(topic):
+        for _, recorded_s, data in bag.messages(topic.name, 0.0):
+            try:
+                message = message_reader(topic)(data)
+                value = read(message)
+                times_s.append(stamp_s(message) or recorded_s)
+            except Exception as error:  # protobuf's and rosbags' errors derive from Exception
+                if isinstance(error, DamagedError):
+                    break
+                continue
+            values.append(value)
+            if len(values) >= MAX_SAMPLES:
+                break
+    return np.array(times_s), np.array(values).reshape(len(values), -1) if values else np.empty((0, 2))
