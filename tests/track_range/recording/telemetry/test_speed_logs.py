@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.track_range.recording.telemetry.telemetry_files import START_S, part
-from track_range.ranging.ego_speed import EgoSpeedError
+from track_range.ranging.world.ego_speed import EgoSpeedError
 from track_range.recording.telemetry.checks import usable
 from track_range.recording.telemetry.found import named_telemetry
 from track_range.recording.telemetry.sidecars.reading import read_sidecar

@@ -30,7 +30,7 @@ _SPEEDS: dict[
     "nav_msgs/msg/Odometry": lambda message: _linear(message.twist.twist),
 }
 _POSITIONS = ("sensor_msgs/msg/NavSatFix", "foxglove.LocationFix", "foxglove_msgs/msg/LocationFix")
-_COMMAND = "cmd"  # in the names of topics with wanted speeds
+_COMMAND = "cmd"  # in the names of topics with commanded speeds
 
 
 def read_ros_topics(path: Path) -> TelemetryTrack | None:

@@ -41,7 +41,7 @@ _LONGITUDE = re.compile(r"(?<![a-z])(?:lon|lng|longt?)(?:gitude|itude)?(?![a-z])
 _COURSE = re.compile(r"(?<![a-z])(?:course|heading|bearing|track)(?![a-z])")
 _VIDEO_TIME = re.compile(r"^(?:time_s|t|seconds?|elapsed.*|video_?time.*|cts|time ?\(?\[?s\)?\]?|offset.*)$")
 _CLOCK_TIME = re.compile(r"(?:^|[^a-z])(?:utc|date|time|timestamp|datetime|epoch|gpstime)(?:$|[^a-z])")
-_DATE, _TIME_OF_DAY = re.compile(r"(?:^|[^a-z])date$"), re.compile(r"(?:^|[^a-z])time$")  # in columns of their own
+_DATE, _TIME_OF_DAY = re.compile(r"(?:^|[^a-z])date$"), re.compile(r"(?:^|[^a-z])time$")  # in separate columns
 
 _VELOCITY = re.compile(r"(?:v|vel|velocity|speed|linear)(?=[^a-z]|$)|v[neduxyz]?$")
 _AXES = dict(zip("nedu", ("north", "east", "down", "up"), strict=True))
@@ -101,8 +101,8 @@ def read_csv(path: Path) -> TelemetryTrack | None:
         if positions is not None:
             return positions
         incomplete = " and ".join(repr(name) for name in _components(table))
-        found = f"only {incomplete}, of which it is not the length" if incomplete else "fewer"
-        raise TelemetryError(f"{path}: expected speeds, or at least two positions, found {shortened(found)}.")
+        present = f"only {incomplete}, of which it is not the length" if incomplete else "fewer"
+        raise TelemetryError(f"{path}: expected speeds, or at least two positions, found {shortened(present)}.")
     chosen, unit, note = _chosen(path, speeds, positions, time_s)
     course = _columns(table, _COURSE)
     course_deg = table.numbers(course[0]) if course else np.full(len(table), np.nan)
@@ -162,7 +162,7 @@ def _speeds(table: CsvTable) -> list[_Speeds]:
     groups: dict[tuple[str, str | None], dict[str, str]] = defaultdict(dict)
     for name, (stem, axis) in components.items():
         groups[stem, unit_in(name)].setdefault(axis, name)
-    found = [
+    speeds = [
         _Speeds(name, _rank(name), unit_in(name), np.abs(table.numbers(name)))
         for name in _columns(table, _SPEED, _NOT_SPEED)
         if name not in components
@@ -172,20 +172,20 @@ def _speeds(table: CsvTable) -> list[_Speeds]:
         if axes:
             names = [by_axis[axis] for axis in axes]
             length = np.linalg.norm([table.numbers(name) for name in names], axis=0)
-            found.append(_Speeds(" and ".join(names), min(_rank(names[0]), 1), unit, length))
-    return sorted(found, key=lambda speeds: (speeds.rank, speeds.unit is None))
+            speeds.append(_Speeds(" and ".join(names), min(_rank(names[0]), 1), unit, length))
+    return sorted(speeds, key=lambda speeds: (speeds.rank, speeds.unit is None))
 
 
 def _components(table: CsvTable) -> dict[str, tuple[str, str]]:
     """Headings of components of the velocity, with the rest of the name and the axis."""
-    found: dict[str, tuple[str, str]] = {}
+    components: dict[str, tuple[str, str]] = {}
     for heading in dict.fromkeys(table.header):
         name = _UNIT_OF_NAME.sub("", heading[:100]).strip()
         axis = _AXIS.search(name.replace("_", " "))
         if axis is not None and _VELOCITY.search(name.replace("_", " ")) and not _NOT_SPEED.search(name):
             stem = name.replace("_", " ").replace(axis[0], "", 1)
-            found[heading] = (stem, _AXES.get(axis[1], axis[1]))
-    return found
+            components[heading] = (stem, _AXES.get(axis[1], axis[1]))
+    return components
 
 
 def _rank(name: str) -> int:
