@@ -35,6 +35,7 @@ WORKLOADS = {
     "processor_time": ("speed.processor_time", "processor time of each step of a run, and waits of its threads"),
     "ranging": ("speed.stages", "time of the box-only ranging methods, fusion and filters"),
     "recall": ("accuracy.detection.recall", "recall of detectors on simulated cars"),
+    "recordings": ("accuracy.ranging.recordings", "kinds of recordings and calibrations against a drive in plain form"),
     "reference": ("reference", "results of every main command, recorded and compared"),
     "rig_health": ("accuracy.ranging.rig_alignment", "true rig files and rig files with errors on the same drives"),
     "startup": ("speed.runs", "start-up time of the command line and of the import"),

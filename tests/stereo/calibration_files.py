@@ -79,7 +79,7 @@ def rectification(rig: StereoRig) -> dict[str, FloatArray]:
     r, t = rig.right_from_left[:3, :3], rig.right_from_left[:3, 3:]
     distortion = [np.array(camera.distortion or (0.0,) * 5) for camera in (rig.left, rig.right)]
     found = cv2.stereoRectify(rig.left.matrix, distortion[0], rig.right.matrix, distortion[1], rig.left.size_px, r, t)
-    r1, r2, p1, p2, q = map(np.array, found[:5])
+    r1, r2, p1, p2, q = (np.array(matrix, np.float64) for matrix in found[:5])
     p1[:2, 2], p2[:2, 2], q[:2, 3] = p1[:2, 2].round(3), p2[:2, 2].round(3), q[:2, 3].round(3)
     return {"R1": r1, "R2": r2, "P1": p1, "P2": p2, "Q": q}
 
@@ -147,7 +147,7 @@ def of_names(folder: Path, rig: StereoRig, *, names: str, file: str, units_per_m
     if path.suffix == ".json":
         return text(path, json.dumps(listed(content)))
     if path.suffix == ".npz":
-        np.savez(path, map1=np.zeros((48, 64, 2), np.float32), **content)
+        np.savez(path, allow_pickle=False, map1=np.zeros((48, 64, 2), np.float32), **content)
         return path
     return storage(path, content)
 
@@ -166,7 +166,7 @@ def printed(folder: Path, rig: StereoRig) -> Path:
 
 def rectified_only(folder: Path, rig: StereoRig, *, keys: str) -> Path:
     """Only some of the matrices of stereoRectify, such as in a file of remap tables."""
-    content = {key: value for key, value in rectification(rig).items() if key in keys.split()}
+    content: dict[str, Any] = {key: value for key, value in rectification(rig).items() if key in keys.split()}
     np.savez(folder / "maps.npz", left_map_x=np.zeros((48, 64), np.float32), **content)
     return folder / "maps.npz"
 
@@ -414,15 +414,14 @@ def orb(folder: Path, rig: StereoRig, *, form: str) -> Path:
             }.items():
                 parts.append(opencv_matrix(f"{side}.{name}", values))
         p = found["P2"]
-        rectified = PinholeCamera.of_matrix(p, rig.left.size_px)
-        body = orb_focal("Camera", rectified) + size + f"Camera.bf: {float(-p[0, 3])!r}\n" + "".join(parts)
+        body = orb_focal("Camera", rectified(rig).left) + size + f"Camera.bf: {float(-p[0, 3])!r}\n" + "".join(parts)
     elif form == "bf":
         body = orb_focal("Camera", left) + f"Camera.bf: {left.fx_px * rig.baseline_m!r}\n"
     elif form == "b":
         lens, body = "Rectified", orb_focal("Camera1", left) + size + f"Stereo.b: {rig.baseline_m!r}\n"
     else:
         body = orb_focal("Camera1", left) + orb_focal("Camera2", rig.right) + size
-        body += opencv_matrix("Stereo.T_c1_c2", np.linalg.inv(rig.right_from_left))
+        body += opencv_matrix("Stereo.T_c1_c2", np.asarray(np.linalg.inv(rig.right_from_left), np.float64))
     return text(
         folder / "settings.yaml", f'%YAML:1.0\n\nFile.version: "1.0"\nCamera.type: "{lens}"\n{body}Viewer.PointSize:2\n'
     )
@@ -584,7 +583,8 @@ def parallel(focal_px: float, centre_px: tuple[float, float], size_px: tuple[int
 
 def rectified(rig: StereoRig) -> StereoRig:
     """The pair of the images that stereoRectify makes of those of a rig."""
-    return StereoRig.rectified(PinholeCamera.of_matrix(rectification(rig)["P1"], rig.left.size_px), rig.baseline_m)
+    p = rectification(rig)["P1"]
+    return parallel(float(p[0, 0]), (float(p[0, 2]), float(p[1, 2])), rig.left.size_px, rig.baseline_m)
 
 
 _SHIFTED = replace(PARALLEL, right=replace(PARALLEL.right, cx_px=350.25))

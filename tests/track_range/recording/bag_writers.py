@@ -115,7 +115,7 @@ def write_foxglove(path: Path, names: Sequence[str], images: Images, **options: 
 
     is_raw = options.pop("is_raw", False)
     with path.open("wb") as file:
-        writer = Writer(file, **{"chunk_size": 2000, **options})
+        writer: Any = Writer(file, **{"chunk_size": 2000, **options})
         writer.start()
         channels: dict[str, int] = {}
 

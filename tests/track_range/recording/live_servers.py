@@ -6,10 +6,11 @@ import socket
 import struct
 import threading
 import wave
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from fractions import Fraction
 from io import BytesIO
+from typing import Any
 
 import av
 import cv2
@@ -31,14 +32,24 @@ def number_of(image: np.ndarray) -> int:
 class Camera:
     """Sends an image every 10 ms to the first client until it is unplugged or has sent `n_images`.
 
+    The images are grey with the level of their number, or `images` in turn.
+
     Attributes:
         url: address of the stream.
         interval_s: time between images.
         is_torn: whether the connection is reset at the end instead of closed.
     """
 
-    def __init__(self, n_images: int = 10_000, *, is_torn: bool = False) -> None:
-        self.n_images, self.is_torn, self.interval_s = n_images, is_torn, 1 / RATE_HZ
+    def __init__(
+        self,
+        n_images: int = 10_000,
+        *,
+        is_torn: bool = False,
+        images: Sequence[np.ndarray] = (),
+        rate_hz: int = RATE_HZ,
+    ) -> None:
+        self.n_images, self.is_torn, self.interval_s = n_images, is_torn, 1 / rate_hz
+        self._images, self._rate_hz = images, rate_hz
         self.unplugged = threading.Event()
         self._socket = socket.create_server(("127.0.0.1", 0))
         self.url = f"tcp://127.0.0.1:{self._socket.getsockname()[1]}"
@@ -54,17 +65,19 @@ class Camera:
                 connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
             sent.close()
 
-    def _send(self, sent: object) -> None:
+    def _send(self, sent: Any) -> None:
         options = {"tune": "zerolatency", "preset": "ultrafast", "crf": "5"}
-        with av.open(sent, "w", format="nut") as container:  # type: ignore[call-overload]
-            stream = container.add_stream("libx264", rate=RATE_HZ, options=options)
-            stream.width, stream.height, stream.pix_fmt, stream.gop_size = 64, 48, "yuv420p", 5
+        with av.open(sent, "w", format="nut") as container:
+            stream = container.add_stream("libx264", rate=self._rate_hz, options=options)
+            height, width = (self._images[0] if self._images else level_image(0)).shape[:2]
+            stream.width, stream.height, stream.pix_fmt, stream.gop_size = width, height, "yuv420p", 5
             for number in range(self.n_images):
                 if self.unplugged.wait(self.interval_s):
                     break
-                planes = cv2.cvtColor(level_image(number), cv2.COLOR_BGR2YUV_I420)
+                image = self._images[number % len(self._images)] if self._images else level_image(number)
+                planes = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2YUV_I420), np.uint8)
                 frame = av.VideoFrame.from_ndarray(planes, format="yuv420p")
-                frame.pts, frame.time_base = number, Fraction(1, RATE_HZ)
+                frame.pts, frame.time_base = number, Fraction(1, self._rate_hz)
                 container.mux(stream.encode(frame))
             if self.is_torn:
                 raise ConnectionAbortedError

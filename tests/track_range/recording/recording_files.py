@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tests.track_range.recording.bag_writers import write_foxglove, write_ros1, write_ros2
-from tests.track_range.recording.live_servers import served
+from tests.track_range.recording.live_servers import Camera
 
 Image = npt.NDArray[Any]
 
@@ -296,11 +296,11 @@ def bag(folder: Path, pair: Pair, *, form: str) -> Written:
 ONE = {"stereo_layout": "side-by-side"}
 
 
-def live(folder: Path, pair: Pair, *, servers: ExitStack, layout: str = "side-by-side") -> Written:
-    """A stream of a camera with both images in one, which ends after a few seconds."""
-    file = BytesIO()
-    write_video(file, [packed(layout, pair)], rate=2, format="nut", options={"tune": "zerolatency"})
-    return Written((servers.enter_context(served(file.getvalue())),), {"stereo_layout": layout})
+def live(_: Path, pair: Pair, *, servers: ExitStack, layout: str = "side-by-side") -> Written:
+    """A stream of a camera with both images in one, again and again, two a second."""
+    camera = Camera(images=packed(layout, pair), rate_hz=2)
+    servers.callback(camera.close)
+    return Written((camera.url,), {"stereo_layout": layout})
 
 
 class Recording(NamedTuple):
@@ -308,12 +308,8 @@ class Recording(NamedTuple):
 
     kind: str
     write: Write
-    rate_hz: float = 10.0
+    rate_hz: float = 10.0  # 0 = live
     n_lost: int = 0  # largest number of frames that the form itself loses
-
-
-def _named(*names: str) -> dict[str, tuple[str, ...]]:
-    return {"names": names}
 
 
 RECORDINGS = (
@@ -358,24 +354,24 @@ RECORDINGS = (
     Recording("two tracks of MP4", partial(tracks, suffix="mp4", option="tracks")),
     Recording("two tracks of MP4 after a preview", partial(tracks, suffix="mp4", preview=True)),
     Recording("side by side in a chosen track", chosen_track),
-    Recording("KITTI raw", partial(timed_folders, **_named("image_02/data/{n:010}.png", "image_03/data/{n:010}.png"),
+    Recording("KITTI raw", partial(timed_folders, names=("image_02/data/{n:010}.png", "image_03/data/{n:010}.png"),
                                    times="timestamps.txt", form="{second}")),
     Recording("KITTI odometry with times.txt", partial(
-        timed_folders, **_named("image_2/{n:06}.png", "image_3/{n:06}.png"), times="times.txt", form="{s:e}")),
-    Recording("KITTI 2015", partial(folders, **_named("image_2/{n:06}_10.png", "image_3/{n:06}_10.png"))),
+        timed_folders, names=("image_2/{n:06}.png", "image_3/{n:06}.png"), times="times.txt", form="{s:e}")),
+    Recording("KITTI 2015", partial(folders, names=("image_2/{n:06}_10.png", "image_3/{n:06}_10.png"))),
     Recording("EuRoC (ns) with data.csv", partial(
-        timed_folders, **_named("cam0/data/{ns}.png", "cam1/data/{ns}.png"), times="data.csv", form="{ns},{ns}.png")),
-    Recording("EuRoC (ns)", partial(folders, **_named("cam0/{ns}.png", "cam1/{ns}.png"))),
-    Recording("TUM (seconds)", partial(folders, **_named("rgb/{sec}.png", "rgb2/{sec}.png"))),
-    Recording("nuScenes (us)", partial(folders, **_named(
+        timed_folders, names=("cam0/data/{ns}.png", "cam1/data/{ns}.png"), times="data.csv", form="{ns},{ns}.png")),
+    Recording("EuRoC (ns)", partial(folders, names=("cam0/{ns}.png", "cam1/{ns}.png"))),
+    Recording("TUM (seconds)", partial(folders, names=("rgb/{sec}.png", "rgb2/{sec}.png"))),
+    Recording("nuScenes (us)", partial(folders, names=(
         "L/n015-2018-07-24-11-22-45+0800__CAM_FRONT__{us}.png",
         "R/n015-2018-07-24-11-22-45+0800__CAM_FRONT__{us}.png"))),
-    Recording("ISO dates", partial(folders, **_named("left/{iso}.png", "right/{iso}.png"))),
-    Recording("DrivingStereo", partial(folders, **_named(
+    Recording("ISO dates", partial(folders, names=("left/{iso}.png", "right/{iso}.png"))),
+    Recording("DrivingStereo", partial(folders, names=(
         "left/2018-07-11-14-48-52_{dash}.png", "right/2018-07-11-14-48-52_{dash}.png"))),
-    Recording("Cityscapes", partial(folders, **_named(
+    Recording("Cityscapes", partial(folders, names=(
         "leftImg8bit/aachen_{n:06}_000019_leftImg8bit.png", "rightImg8bit/aachen_{n:06}_000019_rightImg8bit.png"))),
-    Recording("numbers without zeros", partial(folders, **_named("left/frame{n}.png", "right/frame{n}.png"))),
+    Recording("numbers without zeros", partial(folders, names=("left/frame{n}.png", "right/frame{n}.png"))),
     *(
         Recording(f"one folder, {names[0]}", partial(one_folder, names=names))
         for names in (
