@@ -19,7 +19,7 @@ from track_range.recording.telemetry.positions import (
 )
 from track_range.recording.telemetry.track import TelemetryError, TelemetryTrack
 
-MAX_SPEED_MPS = 120.0  # 432 km/h, as in `ranging.ego_speed`
+MAX_SPEED_MPS = 120.0  # 432 km/h, as in `ranging.world.ego_speed`
 
 _MAX_ACCELERATION_MPS2 = 15.0  # of a car over a second; emergency braking reaches 11
 _MAX_FRACTION = 0.1  # of wild samples up to which they are omitted; with more, the track is not used

@@ -33,7 +33,7 @@ _INTERPOLATION_FRACTION = 0.1  # error of an offset, relative to the interval of
 _MIN_CORRELATION = 0.9  # smallest correlation between image motion and telemetry at the best offset
 _MAX_SIGMA_S = 0.2  # largest standard deviation of an offset that is applied, s: below the lag that it corrects
 _MIN_SPEED_MPS = 2.0  # smallest speed at which a course is known, m/s
-_MAX_GAP_S = 3.0  # longest interval between samples that is interpolated, as in `ranging.ego_speed`
+_MAX_GAP_S = 3.0  # longest interval between samples that is interpolated, as in `ranging.world.ego_speed`
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ ZONES_H = (  # differences between local times and UTC in use, hours
 
 _VIDEO_SIGMA_S = 0.5  # standard deviation of the times of GPS samples within a video, s: receivers lag by 0.2 to 1 s
 _CLOCK_SIGMA_S = 1.0  # standard deviation of the difference between two clocks that state whole seconds, s
-_MAX_GAP_S = 3.0  # longest interval between samples that covers a video, as in `ranging.ego_speed`
+_MAX_GAP_S = 3.0  # longest interval between samples that covers a video, as in `ranging.world.ego_speed`
 _MIN_NAMED = 0.1  # smallest fraction of a video that telemetry which the user names must cover
 _MIN_COVERED = 0.5  # smallest fraction of a video that telemetry of another time zone must cover
 _START_S = 5.0  # largest difference in s between the starts of a video and of telemetry that was recorded with it
