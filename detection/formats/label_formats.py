@@ -12,18 +12,10 @@ from pathlib import Path
 
 from track_range.detection.formats.box_table import NO_FACTS, BoxTable, VideoFacts, Written
 from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.video_labels import text_tables
 from track_range.detection.formats.video_labels.coco import read_coco, write_coco
 from track_range.detection.formats.video_labels.csv_labels import has_label_columns
 from track_range.detection.formats.video_labels.cvat import read_cvat, write_cvat
-from track_range.detection.formats.video_labels.text_tables import (
-    read_csv_table_of_labels,
-    read_kitti_table,
-    read_mot_table,
-    read_parquet_table,
-    read_tracks_table,
-    write_kitti_table,
-    write_mot_table,
-)
 from track_range.detection.formats.video_labels.yolo_tracks import is_yolo_folder, read_yolo_folder, write_yolo
 from track_range.foundation.files.input_files import first_line, open_regular, readable
 
@@ -52,19 +44,19 @@ def _starts(*starts: str) -> Callable[[Path, str], bool]:
 
 # fmt: off
 _FORMATS = (
-    LabelFormat("mot", "MOTChallenge", _starts(""), read_mot_table, write_mot_table, has_classes=False,
-                precision_px=0.01),
-    LabelFormat("kitti", "KITTI", lambda path, first: "," not in first, read_kitti_table, write_kitti_table,
-                precision_px=0.005),
-    LabelFormat("tracks", "a tracks.csv", _starts("frame,time_s,"), read_tracks_table, is_of_run=True),
+    LabelFormat("mot", "MOTChallenge", _starts(""), text_tables.read_mot_table, text_tables.write_mot_table,
+                has_classes=False, precision_px=0.01),
+    LabelFormat("kitti", "KITTI", lambda path, first: "," not in first, text_tables.read_kitti_table,
+                text_tables.write_kitti_table, precision_px=0.005),
+    LabelFormat("tracks", "a tracks.csv", _starts("frame,time_s,"), text_tables.read_tracks_table, is_of_run=True),
     LabelFormat("csv", "a CSV of labels", lambda path, first: "," in first and has_label_columns(path),
-                read_csv_table_of_labels),
+                text_tables.read_csv_table_of_labels),
     LabelFormat("coco", "COCO", _starts("{", "["), read_coco, write_coco, is_general=True, precision_px=0.0005),
     LabelFormat("cvat", "CVAT for video 1.1", _starts("<"), read_cvat, write_cvat, is_general=True,
                 precision_px=0.0005),
     LabelFormat("yolo", "YOLO", lambda path, first: not first and is_yolo_folder(path), read_yolo_folder, write_yolo,
                 is_general=True, is_folder=True),
-    LabelFormat("parquet", "a tracks.parquet", _starts(_PARQUET_MARK), read_parquet_table, is_general=True,
+    LabelFormat("parquet", "a tracks.parquet", _starts(_PARQUET_MARK), text_tables.read_parquet_table, is_general=True,
                 is_of_run=True),
 )
 # fmt: on

@@ -24,6 +24,7 @@ from torch import Tensor, nn
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.evaluation import DetectionScores
 from track_range.detection.models.writing import atomic_output, silent_conversion
+from track_range.detection.training import run_folder
 from track_range.detection.training.data.batches import BatchMaker, scaled
 from track_range.detection.training.data.data_set import TrainingSets
 from track_range.detection.training.errors import CheckpointError, TrainingError
@@ -34,16 +35,6 @@ from track_range.detection.training.networks.blocks import ConvolutionBlock
 from track_range.detection.training.networks.network import AnchorNetwork, DetectionNetwork, placed
 from track_range.detection.training.networks.road_net import RoadNet
 from track_range.detection.training.networks.yolov5 import BODY_PREFIX
-from track_range.detection.training.run_folder import (
-    BEST,
-    LAST,
-    RESULTS,
-    check_same_run,
-    load_checkpoint,
-    load_mean,
-    save_checkpoint,
-    write_results,
-)
 from track_range.detection.training.schedule import Schedule, WeightAverage, optimiser_of
 from track_range.detection.training.settings import TrainingSettings
 from track_range.detection.training.teacher import Teacher
@@ -104,10 +95,10 @@ class Training:
 
     def resume(self) -> None:
         """Continue from the last checkpoint in the run folder; CheckpointError if it is damaged or of another run."""
-        path = self._out / LAST
-        content = load_checkpoint(path)
+        path = self._out / run_folder.LAST
+        content = run_folder.load_checkpoint(path)
         try:
-            check_same_run(path, content["identity"], self._identity())
+            run_folder.check_same_run(path, content["identity"], self._identity())
             self.network.load_state_dict(content["network"])
             self.average.network.load_state_dict(content["average"])
             if self._feature_loss is not None:
@@ -125,7 +116,7 @@ class Training:
         The convolutions of the feature loss are those of the first checkpoint, if it had the same teacher.
         CheckpointError: the checkpoint does not exist, is damaged, or has another network.
         """
-        content = load_mean([first, *others])
+        content = run_folder.load_mean([first, *others])
         body = {name: value for name, value in self.network.state_dict().items() if name.startswith(BODY_PREFIX)}
         saved, is_other = content["average"], content["identity"].get("model") != self.network.name
         for network in (self.network, self.average.network):
@@ -140,8 +131,12 @@ class Training:
 
     def load_best(self) -> None:
         """Set `average` to that of the best epoch, if there was a validation."""
-        if (self._out / BEST).is_file():
-            self._set_weights(self.average.network, load_checkpoint(self._out / BEST), self._out / BEST)
+        if (self._out / run_folder.BEST).is_file():
+            self._set_weights(
+                self.average.network,
+                run_folder.load_checkpoint(self._out / run_folder.BEST),
+                self._out / run_folder.BEST,
+            )
 
     def _set_weights(self, network: DetectionNetwork, content: Mapping[str, Any], path: Path) -> None:
         """Set the network's weights to the averaged weights of the checkpoint at `path`; its anchors do not change."""
@@ -273,7 +268,7 @@ class Training:
         return losses
 
     def _start_hint(self) -> str:
-        return f", and --weights {self._out / LAST}" if self.history else ""
+        return f", and --weights {self._out / run_folder.LAST}" if self.history else ""
 
     def _save(self, row: dict[str, float]) -> None:
         is_rounded = self._settings.is_rounded_in
@@ -291,9 +286,9 @@ class Training:
             "history": self.history,
         }
         if row.get("ap50", -1.0) >= best:  # if equal, the later one, which was trained longer
-            save_checkpoint(self._out / BEST, content)
-        save_checkpoint(self._out / LAST, content)
-        write_results(self._out / RESULTS, self.history)
+            run_folder.save_checkpoint(self._out / run_folder.BEST, content)
+        run_folder.save_checkpoint(self._out / run_folder.LAST, content)
+        run_folder.write_results(self._out / run_folder.RESULTS, self.history)
 
     def _identity(self) -> dict[str, Any]:
         """The settings that a checkpoint must share to be resumed."""

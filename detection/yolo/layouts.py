@@ -27,23 +27,8 @@ from track_range.detection.box_errors import COCO_BOX_ERRORS
 from track_range.detection.classes import COCO_CATEGORIES, COCO_CLASSES, VOC_CLASSES
 from track_range.detection.models.metadata import Anchors, Attribute, ModelMetadata
 from track_range.detection.models.onnx_session import ModelError
-from track_range.detection.yolo.decoders import (
-    Head,
-    decode_columns,
-    decode_corners,
-    decode_grid_rows,
-    decode_heads,
-    decode_rows,
-    grid_cells,
-)
+from track_range.detection.yolo import decoders, end_to_end
 from track_range.detection.yolo.distribution import score_and_bin_rows, scores_and_bins
-from track_range.detection.yolo.end_to_end import (
-    labelled_query_rows,
-    labelled_rows,
-    labels_boxes_scores,
-    logits_and_boxes,
-    query_rows,
-)
 from track_range.detection.yolo.input_format import InputFormat, placement_and_grey
 from track_range.detection.yolo.network_outputs import NetworkOutputs, YoloModel
 from track_range.foundation.files.input_files import shortened
@@ -112,7 +97,7 @@ def _boxes_and_scores(network: NetworkOutputs) -> YoloModel | None:
         if len(score) == 3 and box in ((1, score[1], 1, 4), (1, score[1], 4)) and score[0] == 1:
             is_tiny = score[1] == _ANCHORS_PER_CELL * network.n_cells((16, 32))
             layout = f"decoded boxes {list(box)} and scores {list(score)}"
-            decoder = partial(decode_corners, boxes, scores, network.input_hw)
+            decoder = partial(decoders.decode_corners, boxes, scores, network.input_hw)
             return YoloModel("YOLOv4-tiny" if is_tiny else "YOLOv4", layout, score[2], _DARKNET_INPUT, decoder)
     return None
 
@@ -124,7 +109,7 @@ def _anchor_rows(network: NetworkOutputs) -> YoloModel | None:
             if n_rows == _ANCHORS_PER_CELL * network.n_cells(strides) and n_columns > 5:
                 layout = f"decoded rows {[1, n_rows, n_columns]}: box, objectness, classes"
                 input_format = _PLAIN_INPUT if family == "YOLOv5" else _DARKNET_INPUT
-                return YoloModel(family, layout, n_columns - 5, input_format, partial(decode_rows, i))
+                return YoloModel(family, layout, n_columns - 5, input_format, partial(decoders.decode_rows, i))
     return None
 
 
@@ -133,7 +118,7 @@ def _cell_rows(network: NetworkOutputs) -> YoloModel | None:
     for i, n_rows, n_columns in network.matrices():
         if n_rows == network.n_cells(_STRIDES_PX) and n_columns > 5:
             layout = f"rows per cell {[1, n_rows, n_columns]}: box, objectness, classes"
-            decoder = partial(decode_grid_rows, i, *grid_cells(network.input_hw, _STRIDES_PX))
+            decoder = partial(decoders.decode_grid_rows, i, *decoders.grid_cells(network.input_hw, _STRIDES_PX))
             return YoloModel("YOLOX", layout, n_columns - 5, _YOLOX_INPUT, decoder)
     return None
 
@@ -143,7 +128,7 @@ def _cell_columns(network: NetworkOutputs) -> YoloModel | None:
     for i, n_rows, n_columns in network.matrices():
         if n_columns == network.n_cells(_STRIDES_PX) and n_rows > 4:
             layout = f"decoded columns {[1, n_rows, n_columns]}: box, classes"
-            return YoloModel("YOLOv8/YOLO11", layout, n_rows - 4, _PLAIN_INPUT, partial(decode_columns, i))
+            return YoloModel("YOLOv8/YOLO11", layout, n_rows - 4, _PLAIN_INPUT, partial(decoders.decode_columns, i))
     return None
 
 
@@ -183,11 +168,13 @@ def _raw_heads(network: NetworkOutputs) -> YoloModel | None:
     height, width = network.input_hw
     scales = scales * len(shapes) if len(scales) == 1 else scales
     heads = [
-        Head(np.array(anchor, np.float64), np.array([width / shape[3], height / shape[2]]), scale)
+        decoders.Head(np.array(anchor, np.float64), np.array([width / shape[3], height / shape[2]]), scale)
         for shape, anchor, scale in zip(shapes, used["anchors"].value, scales, strict=True)
     ]
     layout = f"raw heads {', '.join(str(list(shape)) for shape in shapes)}: {n_anchors} anchors per cell"
-    return YoloModel(family, layout, n_columns - 5, _DARKNET_INPUT, partial(decode_heads, heads), attributes=used)
+    return YoloModel(
+        family, layout, n_columns - 5, _DARKNET_INPUT, partial(decoders.decode_heads, heads), attributes=used
+    )
 
 
 def _names(path: Path, n_classes: int | None, metadata: ModelMetadata) -> Attribute:
@@ -213,17 +200,17 @@ def _names(path: Path, n_classes: int | None, metadata: ModelMetadata) -> Attrib
 
 
 DETECTOR_LAYOUTS: tuple[tuple[str, Callable[[NetworkOutputs], YoloModel | None]], ...] = (
-    ("RF-DETR", logits_and_boxes),
-    ("D-FINE/DEIM", labels_boxes_scores),
+    ("RF-DETR", end_to_end.logits_and_boxes),
+    ("D-FINE/DEIM", end_to_end.labels_boxes_scores),
     ("YOLOv4", _boxes_and_scores),
     ("YOLOv5", _anchor_rows),
     ("NanoDet", score_and_bin_rows),
     ("NanoDet", scores_and_bins),
     ("YOLOX", _cell_rows),
     ("YOLOv8", _cell_columns),
-    ("RT-DETR", labelled_query_rows),
-    ("YOLOv10", labelled_rows),
-    ("RT-DETR", query_rows),
+    ("RT-DETR", end_to_end.labelled_query_rows),
+    ("YOLOv10", end_to_end.labelled_rows),
+    ("RT-DETR", end_to_end.query_rows),
     ("Darknet", _raw_heads),
 )
 """The known layouts, in the order in which they are tried: a name for messages, and the function that matches it."""

@@ -9,15 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from track_range.foundation.arrays import IntArray
-from track_range.ranging.evaluation.box_evaluation import (
-    Fitter,
-    Predictor,
-    Scheme,
-    cross_validated,
-    frame_rows,
-    held_out,
-    within_drives,
-)
+from track_range.ranging.evaluation import box_evaluation
 from track_range.ranging.evaluation.errors import MethodColumn
 from track_range.ranging.fitting.labelled_boxes import BoxSet
 from track_range.ranging.fitting.prior_fit import fit_size_priors
@@ -61,13 +53,13 @@ class MethodOptions:
     region: Region = "unknown"  # of the packaged or fitted sizes
 
     @property
-    def scheme(self) -> Scheme | None:
+    def scheme(self) -> box_evaluation.Scheme | None:
         """How mono is fitted and measured; None = it has the curves of a file."""
         if self.is_same_drive:
-            return within_drives
+            return box_evaluation.within_drives
         if self.is_held_out:
-            return held_out
-        return cross_validated if self.is_cross_validated else None
+            return box_evaluation.held_out
+        return box_evaluation.cross_validated if self.is_cross_validated else None
 
 
 def measured_by(
@@ -78,7 +70,7 @@ def measured_by(
     Curves are fitted to `train`: boxes of the same sequences, for example without noise.
     """
     options = options or MethodOptions()
-    scheme = options.scheme or cross_validated
+    scheme = options.scheme or box_evaluation.cross_validated
     reference = train.with_reference()
     columns = {
         name: scheme(boxes, reference, plain_fitter(PLAIN_CURVES[name])) for name in names if name in PLAIN_CURVES
@@ -167,10 +159,10 @@ def ranges_in_frame(column: MethodColumn, tracks: Tracks, rows: IntArray) -> Ran
     return Ranges(tracks.track_id, column.distance_m[rows], column.sigma_m[rows], systematic_m)
 
 
-def plain_fitter(fit_curve: CurveFitter) -> Fitter:
+def plain_fitter(fit_curve: CurveFitter) -> box_evaluation.Fitter:
     """Fitter of one plain curve per class, without sigma; classes with too few training boxes are not measured."""
 
-    def fit(train: BoxSet) -> Predictor:
+    def fit(train: BoxSet) -> box_evaluation.Predictor:
         fitted = {}
         for name in np.unique(train.class_name):
             samples = train.select(train.class_name == name)
@@ -189,10 +181,10 @@ def plain_fitter(fit_curve: CurveFitter) -> Fitter:
     return fit
 
 
-def size_fitter(method: RangingMethod, options: MethodOptions) -> Fitter:
+def size_fitter(method: RangingMethod, options: MethodOptions) -> box_evaluation.Fitter:
     """Fitter of a method that uses a size model, with priors fitted to the training boxes."""
 
-    def fit(train: BoxSet) -> Predictor:
+    def fit(train: BoxSet) -> box_evaluation.Predictor:
         try:
             model = in_region(fit_size_priors(train, source="cross-validation"), options.region)
         except CurveError:
@@ -210,7 +202,7 @@ def as_frames(boxes: BoxSet, class_id: IntArray) -> Iterator[tuple[IntArray, Tra
     Labels without identities are those of separate images, each with a sequence to itself.
     """
     sequence = -1
-    for rows in frame_rows(boxes):
+    for rows in box_evaluation.frame_rows(boxes):
         n = len(rows)
         label_id = boxes.track_id[rows]
         is_image = bool((label_id < 0).any())

@@ -14,13 +14,7 @@ from track_range.detection.formats.errors import LabelFileError
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import quoted, read_text
-from track_range.ranging.evaluation.box_evaluation import (
-    closing_figures,
-    distance_risk,
-    figures,
-    folds,
-    literature_metrics,
-)
+from track_range.ranging.evaluation import box_evaluation
 from track_range.ranging.evaluation.box_filters import filtered
 from track_range.ranging.evaluation.box_methods import MethodOptions, measured_by, method_names
 from track_range.ranging.evaluation.errors import MethodColumn
@@ -77,8 +71,8 @@ def evaluate_ranges(settings: RangeEvaluationSettings) -> dict[str, Any]:
     measured: dict[str, MethodColumn] = {}
     for name, column in columns.items():
         measured[name], closing_mps = filtered(boxes, column, settings.filter)
-        scores = figures(boxes, measured[name])
-        closing = closing_figures(boxes, closing_mps) if settings.filter != "none" else {}
+        scores = box_evaluation.figures(boxes, measured[name])
+        closing = box_evaluation.closing_figures(boxes, closing_mps) if settings.filter != "none" else {}
         methods[name] = {class_name: {**score, **closing.get(class_name, {})} for class_name, score in scores.items()}
     return {
         "labels": str(settings.labels),
@@ -98,9 +92,11 @@ def evaluate_ranges(settings: RangeEvaluationSettings) -> dict[str, Any]:
         "n_boxes": len(boxes),
         "n_sequences": len(boxes.sequence_names),
         "methods": methods,
-        "notes": _notes(settings, len(boxes.sequence_names), len(list(folds(boxes)))),
-        "literature": literature_metrics(boxes, measured),
-        "risk_coverage": {name: curves for name, c in measured.items() if (curves := distance_risk(boxes, c))},
+        "notes": _notes(settings, len(boxes.sequence_names), len(list(box_evaluation.folds(boxes)))),
+        "literature": box_evaluation.literature_metrics(boxes, measured),
+        "risk_coverage": {
+            name: curves for name, c in measured.items() if (curves := box_evaluation.distance_risk(boxes, c))
+        },
     }
 
 

@@ -24,13 +24,8 @@ from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.video_labels.kitti import KittiLabels, read_kitti, read_kitti_image
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.files.input_files import first_line, quoted, read_text
+from track_range.ranging.evaluation import reference_distance
 from track_range.ranging.evaluation.errors import BANDS_M, MIN_IOU
-from track_range.ranging.evaluation.reference_distance import (
-    ReferenceName,
-    centre_distance_m,
-    lidar_distance_m,
-    read_lidar,
-)
 from track_range.ranging.evaluation.truth import MAX_OCCLUDED, surface_of_labels_m
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.rig_formats.reading import left_from_reference_m, load_camera
@@ -148,7 +143,7 @@ class BoxSelection:
 
     frames: Path | None = None  # file of names of label files, one per line, such as a published split; None = all
     has_all_objects: bool = False  # whether labels that are truncated, occluded or outside 5-100 m are used too
-    reference: ReferenceName = "surface"  # definition of the distance (`reference_distance`)
+    reference: reference_distance.ReferenceName = "surface"  # definition of the distance (`reference_distance`)
     velodyne: Path | None = None  # folder of lidar files NAME.bin, for the reference "lidar"
 
 
@@ -208,10 +203,10 @@ def _sequence(file: Path, calib: Path, boxes: str, selection: BoxSelection) -> t
     box_set = _rows(labels, camera, shift_m)
     box_set = box_set if boxes == "labels" else _detected(box_set, labels, file.name, boxes)
     if selection.reference == "centre":
-        box_set = replace(box_set, reference_m=centre_distance_m(labels, shift_m))
+        box_set = replace(box_set, reference_m=reference_distance.centre_distance_m(labels, shift_m))
     elif selection.reference == "lidar" and selection.velodyne is not None:
-        points_m = read_lidar(selection.velodyne / f"{file.stem}.bin", calib)
-        box_set = replace(box_set, reference_m=lidar_distance_m(labels, points_m, shift_m))
+        points_m = reference_distance.read_lidar(selection.velodyne / f"{file.stem}.bin", calib)
+        box_set = replace(box_set, reference_m=reference_distance.lidar_distance_m(labels, points_m, shift_m))
     distance_m = box_set.with_reference().distance_m
     in_span = (distance_m >= BANDS_M[0]) & (distance_m <= BANDS_M[-1])
     is_visible = (labels.truncated == 0) & (labels.occluded >= 0) & (labels.occluded <= MAX_OCCLUDED)

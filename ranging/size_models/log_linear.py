@@ -19,14 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.validation import Integer, Number
-from track_range.ranging.size_models.size_model import (
-    SIZE_CLASSES,
-    BoxExtents,
-    DriveState,
-    Sigma,
-    SizeClass,
-    SizeRanges,
-)
+from track_range.ranging.size_models import size_model
 
 KIND = "log-linear"  # value of "kind" in curve files of this model
 
@@ -42,7 +35,7 @@ class SizeCurve:
     per_log_height: _Slope  # slope in log(h / fy), negative
     per_log_width: _Slope  # slope in log(w / fx), <= 0; 0 = the width is not used
     per_bearing: _Slope  # slope in |tan bearing|
-    sigma_relative: Sigma  # standard deviation of the relative error on exact boxes of left-out sequences
+    sigma_relative: size_model.Sigma  # standard deviation of the relative error on exact boxes of left-out sequences
     n: Integer  # number of fitted boxes; 0 = from a standard size
     source: str  # origin of the coefficients
 
@@ -56,8 +49,8 @@ class LogLinearFile(BaseModel):
     """Content of a curve file with log-linear curves, by size class."""
 
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
-    whole: dict[SizeClass, SizeCurve]
-    height_only: dict[SizeClass, SizeCurve]
+    whole: dict[size_model.SizeClass, SizeCurve]
+    height_only: dict[size_model.SizeClass, SizeCurve]
 
 
 class SizeCurves:
@@ -72,7 +65,9 @@ class SizeCurves:
         self.height_only = dict(height_only)
         self._tables = np.stack([_table(self.height_only), _table(self.whole)])
 
-    def measure(self, boxes: BoxExtents, drive: DriveState | None = None) -> SizeRanges:
+    def measure(
+        self, boxes: size_model.BoxExtents, drive: size_model.DriveState | None = None
+    ) -> size_model.SizeRanges:
         """Distances of the boxes, each ranged separately."""
         table = self._tables[boxes.uses_width.astype(np.int64), boxes.size_class]
         log_size = np.log(boxes.wh_over_f)
@@ -83,7 +78,7 @@ class SizeCurves:
         noise = (of_width_height * boxes.noise_variance).sum(axis=1)
         systematic = table[:, 4] ** 2 + (of_width_height * boxes.systematic_sigma**2).sum(axis=1)
         systematic_m = distance_m * np.sqrt(systematic)
-        return SizeRanges(distance_m, np.hypot(systematic_m, distance_m * np.sqrt(noise)), systematic_m)
+        return size_model.SizeRanges(distance_m, np.hypot(systematic_m, distance_m * np.sqrt(noise)), systematic_m)
 
     def document(self) -> dict[str, Any]:
         """Content of a curve file with this model."""
@@ -109,8 +104,8 @@ def log_linear_in(content: LogLinearFile) -> SizeCurves:
 
 def _table(curves: Mapping[str, SizeCurve]) -> FloatArray:
     """(number of classes, 5) the four coefficients and sigma_relative; NaN = the class has no curve."""
-    table = np.full((len(SIZE_CLASSES), 5), np.nan)
+    table = np.full((len(size_model.SIZE_CLASSES), 5), np.nan)
     defaults = {"van": curves["car"]} if "car" in curves else {}  # for files without vans, which detectors call cars
     for name, curve in {**defaults, **curves}.items():
-        table[SIZE_CLASSES.index(name)] = (*curve.coefficients, curve.sigma_relative)
+        table[size_model.SIZE_CLASSES.index(name)] = (*curve.coefficients, curve.sigma_relative)
     return table

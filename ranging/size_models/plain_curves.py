@@ -24,14 +24,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.validation import Integer, Number
-from track_range.ranging.size_models.size_model import (
-    SIZE_CLASSES,
-    BoxExtents,
-    DriveState,
-    Sigma,
-    SizeClass,
-    SizeRanges,
-)
+from track_range.ranging.size_models import size_model
 
 Measure = Callable[[FloatArray], FloatArray]
 """Function from (N, 2) width and height divided by the focal length to (N,) box measure s, the argument of a curve."""
@@ -150,7 +143,7 @@ _Nodes = Annotated[list[Annotated[Number, Field(ge=-20, le=20)]], Field(min_leng
 class _ClassTable(BaseModel):
     log_size: _Nodes
     log_distance: _Nodes
-    sigma_relative: Sigma
+    sigma_relative: size_model.Sigma
     n: Integer
     source: str
 
@@ -160,7 +153,7 @@ class TableFile(BaseModel):
 
     model_config = ConfigDict(extra="ignore", frozen=True)
     measure: Literal["height", "diagonal"]
-    classes: dict[SizeClass, _ClassTable]
+    classes: dict[size_model.SizeClass, _ClassTable]
 
 
 class TableSizes:
@@ -174,12 +167,14 @@ class TableSizes:
         self.box_measure = measure
         self.curves = dict(curves)
 
-    def measure(self, boxes: BoxExtents, drive: DriveState | None = None) -> SizeRanges:
+    def measure(
+        self, boxes: size_model.BoxExtents, drive: size_model.DriveState | None = None
+    ) -> size_model.SizeRanges:
         """Distances of the boxes, each ranged separately; NaN if a side is cut and the curves need the width."""
         distance_m, sigma_m, systematic_m = np.full((3, len(boxes)), np.nan)
         usable = boxes.uses_width | (self.box_measure == "height")
         for name, curve in self.curves.items():
-            rows = np.flatnonzero((boxes.size_class == SIZE_CLASSES.index(name)) & usable)
+            rows = np.flatnonzero((boxes.size_class == size_model.SIZE_CLASSES.index(name)) & usable)
             class_boxes = boxes.select(rows)
             distance_m[rows] = curve.table(class_boxes.wh_over_f, class_boxes.bearing)
             # (N, 2) slopes of log distance in log width and log height.
@@ -193,7 +188,7 @@ class TableSizes:
             systematic = curve.sigma_relative**2 + (slopes**2 * class_boxes.systematic_sigma**2).sum(axis=1)
             systematic_m[rows] = distance_m[rows] * np.sqrt(systematic)
             sigma_m[rows] = np.hypot(systematic_m[rows], distance_m[rows] * np.sqrt(noise))
-        return SizeRanges(distance_m, sigma_m, systematic_m)
+        return size_model.SizeRanges(distance_m, sigma_m, systematic_m)
 
     def document(self) -> dict[str, Any]:
         """Content of a curve file with this model."""

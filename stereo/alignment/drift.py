@@ -17,17 +17,9 @@ from dataclasses import replace
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
+from track_range.stereo.alignment import from_drive
 from track_range.stereo.alignment.bundle_adjustment import CURVATURE, SLOPE
 from track_range.stereo.alignment.feature_tracks import FeatureTracks, TrackedFrame
-from track_range.stereo.alignment.from_drive import (
-    MAX_GAP_S,
-    MIN_FLOW_PX,
-    MIN_STEP_S,
-    MIN_TRACKED_FRACTION,
-    N_FRAMES,
-    observations_of,
-    offset_of,
-)
 from track_range.stereo.alignment.health import Window
 from track_range.stereo.alignment.model import Alignment, RightView
 from track_range.stereo.alignment.segments import Segment, segment_of
@@ -115,36 +107,38 @@ class DriftMonitor:
         """Use the next frame, if a measurement is due."""
         self._n_frames += 1
         is_due = frame.time_s - self._last_s >= MIN_INTERVAL_S and self._n_frames >= MIN_INTERVAL_FRAMES
-        if frame.right is None or not is_due or frame.time_s - self._added_s < MIN_STEP_S:
+        if frame.right is None or not is_due or frame.time_s - self._added_s < from_drive.MIN_STEP_S:
             return
-        if self._tracks is None or frame.time_s - self._added_s > MAX_GAP_S:
+        if self._tracks is None or frame.time_s - self._added_s > from_drive.MAX_GAP_S:
             self._tracks, self._points = FeatureTracks(), []
         self._added_s = frame.time_s
         self.add_points(self._tracks.add(frame.left, whole_image(frame.right), frame.time_s))
 
     def add_points(self, frame: TrackedFrame) -> None:
         """Use the points of the next frame of a measurement; it ends with the last frame, or if the vehicle stops."""
-        if self._points and (frame.fraction_tracked < MIN_TRACKED_FRACTION or frame.flow_px < MIN_FLOW_PX):
+        if self._points and (
+            frame.fraction_tracked < from_drive.MIN_TRACKED_FRACTION or frame.flow_px < from_drive.MIN_FLOW_PX
+        ):
             self._end(frame.time_s)
             return
         self._points.append(frame)
-        if len(self._points) == N_FRAMES:
+        if len(self._points) == from_drive.N_FRAMES:
             self._measure()
             self._end(frame.time_s)
 
     def _end(self, time_s: float) -> None:
         """Wait for the next measurement, a shorter time if this one failed."""
-        has_all = len(self._points) == N_FRAMES
+        has_all = len(self._points) == from_drive.N_FRAMES
         self._last_s = time_s if has_all else time_s - 0.8 * MIN_INTERVAL_S
         self._n_frames = 0 if has_all else round(0.8 * MIN_INTERVAL_FRAMES)
         self._tracks, self._points = None, []
 
     def _measure(self) -> None:
-        segment = segment_of(observations_of(self._points, RightView(), self._rig), self._rig)
+        segment = segment_of(from_drive.observations_of(self._points, RightView(), self._rig), self._rig)
         if isinstance(segment, Segment):
             known_px = np.zeros(3)
             known_px[[CURVATURE, SLOPE]] = self._measured.curvature_px, self._measured.slope_px
-            offset_px, sigma_px = offset_of(segment, known_px)
+            offset_px, sigma_px = from_drive.offset_of(segment, known_px)
             if sigma_px <= _MAX_SIGMA_PX:  # False for NaN
                 from_s, to_s = self._points[0].time_s, self._points[-1].time_s
                 self._drifting.add(Window(0, from_s, to_s, offset_px + self._shift_px, sigma_px))

@@ -17,14 +17,7 @@ import cv2
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, Image, IntArray
-from track_range.stereo.calibration.boards import (
-    Board,
-    CharucoBoard,
-    ChessBoard,
-    charuco_detectors,
-    dictionaries,
-    dictionary_of,
-)
+from track_range.stereo.calibration import boards
 from track_range.stereo.geometry.frames import grey
 
 _MIN_CHARUCO_CORNERS = 6  # minimum number of corners of a ChArUco board that determine its pose well enough
@@ -62,10 +55,10 @@ class RejectedView:
 class BoardFinder:
     """Detects one type of board."""
 
-    def __init__(self, board: Board) -> None:
+    def __init__(self, board: boards.Board) -> None:
         self.board = board
         self._corners_m = board.corners_m
-        self._charuco = charuco_detectors(board) if isinstance(board, CharucoBoard) else ()
+        self._charuco = boards.charuco_detectors(board) if isinstance(board, boards.CharucoBoard) else ()
 
     def find(self, image: Image, name: str) -> BoardView | RejectedView:
         """The board in an image (H, W) or (H, W, 3) BGR."""
@@ -110,7 +103,7 @@ class BoardFinder:
         return _NO_CORNERS
 
 
-def common_corners(left: BoardView, right: BoardView, board: Board) -> tuple[BoardView, BoardView]:
+def common_corners(left: BoardView, right: BoardView, board: boards.Board) -> tuple[BoardView, BoardView]:
     """Both views restricted to their common corners, counted from the same end of the board.
 
     A chessboard with two even or two odd numbers of corners looks the same after a rotation by 180 degrees; the cameras
@@ -118,7 +111,7 @@ def common_corners(left: BoardView, right: BoardView, board: Board) -> tuple[Boa
     """
     common = np.intersect1d(left.corner_id, right.corner_id)
     left, right = left.of_corners(common), right.of_corners(common)
-    if isinstance(board, ChessBoard) and sum(board.grid) % 2 == 0 and len(common):
+    if isinstance(board, boards.ChessBoard) and sum(board.grid) % 2 == 0 and len(common):
         ids = np.arange(len(right.corner_id)).reshape(board.n_rows, board.n_columns)
         quarters = (0, 1, 2, 3) if board.n_rows == board.n_columns else (0, 2)
         rotated = [replace(right, xy_px=right.xy_px[np.rot90(ids, quarter).ravel()]) for quarter in quarters]
@@ -151,11 +144,11 @@ def count_markers(images: Sequence[Image]) -> Counter[str]:
     """
     counts: Counter[str] = Counter()
     greys = [grey(image) for image in images]
-    n_markers = {name: len(dictionary_of(name).bytesList) for name in dictionaries()}
+    n_markers = {name: len(boards.dictionary_of(name).bytesList) for name in boards.dictionaries()}
     families = {name: re.sub(r"_\d+$", "", name) for name in n_markers}
     for family in set(families.values()):
         members = [name for name, other in families.items() if other == family]
-        detector = cv2.aruco.ArucoDetector(dictionary_of(max(members, key=n_markers.__getitem__)))
+        detector = cv2.aruco.ArucoDetector(boards.dictionary_of(max(members, key=n_markers.__getitem__)))
         detected = [ids.ravel() for ids in (detector.detectMarkers(image)[1] for image in greys) if ids is not None]
         ids = np.concatenate([np.zeros(0, np.int32), *detected])
         counts.update({name: int((ids < n_markers[name]).sum()) for name in members})

@@ -18,43 +18,19 @@ import numpy as np
 
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.robust_statistics import jackknife_sigma
+from track_range.stereo.calibration import one_camera
 from track_range.stereo.calibration.board_views import BoardView, RejectedView
 from track_range.stereo.calibration.boards import CalibrationError
 from track_range.stereo.calibration.coverage import coverage_of
 from track_range.stereo.calibration.fisheye_fit import fit_fisheye_pair
-from track_range.stereo.calibration.one_camera import (
-    DISTORTION_FLAGS,
-    PARALLEL,
-    Advance,
-    CameraCalibration,
-    CameraModel,
-    IntrinsicStd,
-    ViewFit,
-    camera_of,
-    check_determined,
-    check_views,
-    fit_camera,
-    intrinsics,
-    leave_out_groups,
-    min_used,
-    pose_of,
-    total_rms_px,
-    without_outliers,
-)
+from track_range.stereo.geometry import rectification
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.lenses import PINHOLE
-from track_range.stereo.geometry.rectification import (
-    Rectifier,
-    distortion_coefficients,
-    rectified_points,
-    rotation_angle_rad,
-    stereo_rectification,
-)
 from track_range.stereo.geometry.rig import RigError, StereoRig, rigid_motion
 from track_range.stereo.geometry.rig_checks import BASELINE_M
 
 ViewPair = tuple[BoardView, BoardView]  # views of the left and the right camera with the same corners
-Models = tuple[CameraModel, CameraModel]  # models of the left and the right camera
+Models = tuple[one_camera.CameraModel, one_camera.CameraModel]  # models of the left and the right camera
 _UPSIDE_DOWN_DEG = 120.0  # angle between the cameras above which one of them is upside down
 _MAX_ANGLE_DEG = 45.0  # largest angle between the cameras
 _CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-7)  # iterations, and relative change
@@ -68,8 +44,8 @@ _MAX_RMS_RATIO = 5.0  # ratio of the residuals of joint and single fits above wh
 class PairFit:
     """Fit of one pair: the fits of both views, and the mean |dy| in pixels."""
 
-    left: ViewFit
-    right: ViewFit
+    left: one_camera.ViewFit
+    right: one_camera.ViewFit
     row_error_px: float
 
     @property
@@ -83,8 +59,8 @@ class PairCalibration:
     """A calibrated rig with its accuracy."""
 
     rig: StereoRig
-    left: CameraCalibration  # from the common fit, like `right`
-    right: CameraCalibration
+    left: one_camera.CameraCalibration  # from the common fit, like `right`
+    right: one_camera.CameraCalibration
     baseline_std_m: float  # standard deviation of the baseline, from leaving out pairs
     rms_px: float  # root mean square residual of all corners
     # the same of the left and of the right camera fitted alone; the difference to `rms_px` is due to boards or cameras
@@ -101,7 +77,7 @@ def calibrate_pair(
     *,
     n_distortion_coefficients: int = 5,
     lens: str = PINHOLE,
-    advance: Advance | None = None,
+    advance: one_camera.Advance | None = None,
 ) -> PairCalibration:
     """Calibrate a rig from pairs of views with the same corners, in simultaneous images; see `CameraModel`.
 
@@ -109,17 +85,19 @@ def calibrate_pair(
     upside down.
     """
     for side in (0, 1):
-        check_views([pair[side] for pair in pairs])
-    model = CameraModel(lens, n_distortion_coefficients)
+        one_camera.check_views([pair[side] for pair in pairs])
+    model = one_camera.CameraModel(lens, n_distortion_coefficients)
     models = model.started([pair[0] for pair in pairs]), model.started([pair[1] for pair in pairs])
 
     def residuals_px(subset: list[ViewPair]) -> list[float]:
         return [fit.rms_px for fit in _fit(subset, models)[1]]
 
-    used, rejected = without_outliers(pairs, residuals_px, lambda pair: pair[0].name)
-    used, moved = _without_moved_boards(used, min_used(len(pairs)), models) if lens != PINHOLE else (used, ())
+    used, rejected = one_camera.without_outliers(pairs, residuals_px, lambda pair: pair[0].name)
+    used, moved = (
+        _without_moved_boards(used, one_camera.min_used(len(pairs)), models) if lens != PINHOLE else (used, ())
+    )
     rig, fits = _fit(used, models)
-    left_px, right_px = (total_rms_px(fits) for _, fits in _single_fits(used, models))
+    left_px, right_px = (one_camera.total_rms_px(fits) for _, fits in _single_fits(used, models))
     _check_consistency(max(left_px, right_px), fits)
     _check_relative_pose(rig)
     held_out_px: list[float] = []
@@ -128,9 +106,9 @@ def calibrate_pair(
         partial, _ = _fit(subset, models)
         held_out_px.extend(row_error_px(partial, pair) for pair in used if not any(pair is member for member in subset))
         baseline_m = np.linalg.norm(partial.right_from_left[:3, 3])
-        return np.array([*intrinsics(partial.left), *intrinsics(partial.right), baseline_m])
+        return np.array([*one_camera.intrinsics(partial.left), *one_camera.intrinsics(partial.right), baseline_m])
 
-    std = jackknife_sigma(leave_out_groups(used, parameters_of, advance))
+    std = jackknife_sigma(one_camera.leave_out_groups(used, parameters_of, advance))
     left = _camera_calibration(rig.left, [fit.left for fit in fits], std[:4])
     right = _camera_calibration(rig.right, [fit.right for fit in fits], std[4:8])
     return PairCalibration(
@@ -149,16 +127,18 @@ def calibrate_pair(
 
 def row_error_px(rig: StereoRig, pair: ViewPair) -> float:
     """Mean |dy| of the corners of a pair in the rectified images."""
-    r1, r2, p1, p2, _ = stereo_rectification(rig)
+    r1, r2, p1, p2, _ = rectification.stereo_rectification(rig)
     y_left, y_right = (
-        rectified_points(camera, r, p, view.xy_px)[:, 1]
+        rectification.rectified_points(camera, r, p, view.xy_px)[:, 1]
         for view, camera, r, p in zip(pair, (rig.left, rig.right), (r1, r2), (p1, p2), strict=True)
     )
     return float(np.abs(y_left - y_right).mean())
 
 
-def _single_fits(pairs: Sequence[ViewPair], models: Models) -> list[tuple[PinholeCamera, tuple[ViewFit, ...]]]:
-    return [fit_camera([pair[side] for pair in pairs], models[side]) for side in (0, 1)]
+def _single_fits(
+    pairs: Sequence[ViewPair], models: Models
+) -> list[tuple[PinholeCamera, tuple[one_camera.ViewFit, ...]]]:
+    return [one_camera.fit_camera([pair[side] for pair in pairs], models[side]) for side in (0, 1)]
 
 
 def _fit(pairs: Sequence[ViewPair], models: Models) -> tuple[StereoRig, tuple[PairFit, ...]]:
@@ -170,8 +150,8 @@ def _fit(pairs: Sequence[ViewPair], models: Models) -> tuple[StereoRig, tuple[Pa
         rig, poses = _fitted_pinholes(pairs, models)
     fits = []
     for pair, board_to_left in zip(pairs, poses, strict=True):
-        left = ViewFit.of(pair[0], board_to_left, rig.left)
-        right = ViewFit.of(pair[1], rig.right_from_left @ board_to_left, rig.right)
+        left = one_camera.ViewFit.of(pair[0], board_to_left, rig.left)
+        right = one_camera.ViewFit.of(pair[1], rig.right_from_left @ board_to_left, rig.right)
         fits.append(PairFit(left, right, row_error_px(rig, pair)))
     return rig, tuple(fits)
 
@@ -180,7 +160,7 @@ def _fitted_pinholes(pairs: Sequence[ViewPair], models: Models) -> tuple[StereoR
     """The least-squares rig of pinholes, starting from the cameras calibrated alone, and the boards' poses in it."""
     n_distortion_coefficients = models[0].n_distortion_coefficients
     cameras = [camera for camera, _ in _single_fits(pairs, models)]
-    distortion = [distortion_coefficients(camera) for camera in cameras]
+    distortion = [rectification.distortion_coefficients(camera) for camera in cameras]
     _, m1, d1, m2, d2, r, t, _, _, rvecs, tvecs, _ = (
         cv2.stereoCalibrateExtended(
             [pair[0].xyz_m.astype(np.float32) for pair in pairs],
@@ -188,22 +168,25 @@ def _fitted_pinholes(pairs: Sequence[ViewPair], models: Models) -> tuple[StereoR
             [pair[1].xy_px.astype(np.float32) for pair in pairs],
             cameras[0].matrix, distortion[0], cameras[1].matrix, distortion[1], pairs[0][0].size_px,
             np.eye(3), np.zeros((3, 1)),
-            flags=cv2.CALIB_USE_INTRINSIC_GUESS | DISTORTION_FLAGS[n_distortion_coefficients], criteria=_CRITERIA
+            flags=cv2.CALIB_USE_INTRINSIC_GUESS | one_camera.DISTORTION_FLAGS[n_distortion_coefficients],
+            criteria=_CRITERIA
         )
     )  # fmt: skip
-    left = camera_of(m1, d1, pairs[0][0].size_px, n_distortion_coefficients)
-    right = camera_of(m2, d2, pairs[0][1].size_px, n_distortion_coefficients)
-    return StereoRig(left, right, rigid_motion(r, t)), np.stack(list(map(pose_of, rvecs, tvecs)))
+    left = one_camera.camera_of(m1, d1, pairs[0][0].size_px, n_distortion_coefficients)
+    right = one_camera.camera_of(m2, d2, pairs[0][1].size_px, n_distortion_coefficients)
+    return StereoRig(left, right, rigid_motion(r, t)), np.stack(list(map(one_camera.pose_of, rvecs, tvecs)))
 
 
-def _camera_calibration(camera: PinholeCamera, fits: Sequence[ViewFit], std: FloatArray) -> CameraCalibration:
+def _camera_calibration(
+    camera: PinholeCamera, fits: Sequence[one_camera.ViewFit], std: FloatArray
+) -> one_camera.CameraCalibration:
     """Calibration of one camera of the rig, with standard deviations (4,) of fx, fy, cx, cy."""
     coverage = coverage_of([fit.view for fit in fits], np.stack([fit.board_to_camera for fit in fits]))
     if coverage.is_parallel:
-        raise CalibrationError(PARALLEL)
-    intrinsic_std = IntrinsicStd(*std.tolist())
-    check_determined(intrinsic_std, camera)
-    return CameraCalibration(camera, intrinsic_std, total_rms_px(fits), tuple(fits), (), coverage)
+        raise CalibrationError(one_camera.PARALLEL)
+    intrinsic_std = one_camera.IntrinsicStd(*std.tolist())
+    one_camera.check_determined(intrinsic_std, camera)
+    return one_camera.CameraCalibration(camera, intrinsic_std, one_camera.total_rms_px(fits), tuple(fits), (), coverage)
 
 
 def _without_moved_boards(
@@ -237,7 +220,7 @@ def _check_consistency(single_px: float, fits: Sequence[PairFit]) -> None:
 
 
 def _check_relative_pose(rig: StereoRig) -> None:
-    angle_deg = math.degrees(rotation_angle_rad(rig.right_from_left[:3, :3]))
+    angle_deg = math.degrees(rectification.rotation_angle_rad(rig.right_from_left[:3, :3]))
     if angle_deg > _UPSIDE_DOWN_DEG:
         raise CalibrationError(
             f"one camera is upside down relative to the other (rotated by {angle_deg:.0f} degrees); rotate its images "
@@ -261,6 +244,6 @@ def _check_relative_pose(rig: StereoRig) -> None:
             "board's squares, --square-mm."
         )
     try:
-        Rectifier(rig)
+        rectification.Rectifier(rig)
     except RigError as error:
         raise CalibrationError(str(error)) from error

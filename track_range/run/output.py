@@ -15,15 +15,8 @@ from types import TracebackType
 from typing import Any, Self
 
 from track_range.foundation.errors import UserError, call_all
+from track_range.foundation.files import output_files
 from track_range.foundation.files.folder_lock import FolderLock
-from track_range.foundation.files.output_files import (
-    OutputError,
-    check_outputs,
-    clear_results,
-    make_folder,
-    write_json,
-    write_text,
-)
 from track_range.pipeline.frame_result import FrameResult
 from track_range.recording.telemetry.track import TELEMETRY_FILE, write_positions
 from track_range.results.columns import Columns
@@ -79,10 +72,10 @@ class RunOutput:
         settings = self._settings
         create_writers(settings.write)
         tables = [settings.table] if settings.table is not None else []
-        check_outputs(tables, [*input_files(settings), *(folder / name for name in result_names())])
+        output_files.check_outputs(tables, [*input_files(settings), *(folder / name for name in result_names())])
         self._new_folders = [path for path in (folder, *folder.parents) if not path.exists()]
         undo.callback(_remove, self._new_folders)
-        make_folder(folder)
+        output_files.make_folder(folder)
         undo.callback(FolderLock(folder).release)
         undo.callback(_remove, self._temporary)
         existing = sorted(name for name in result_names() if (folder / name).exists())
@@ -114,7 +107,7 @@ class RunOutput:
         # from now on, the folder and its files are kept at the end, except progress.json
         names = result_names()
         inputs = [*input_files(settings), *session.speed.files]
-        clear_results(folder, [name for name in names if name != PROGRESS_FILE], except_for=inputs)
+        output_files.clear_results(folder, [name for name in names if name != PROGRESS_FILE], except_for=inputs)
         remove_clips(folder / CLIPS_FOLDER)
         # temporary files `.PID.NAME` of runs that were killed (see `atomic_files`)
         _remove([path for path in folder.glob(".[0-9]*.*") if path.name.lstrip(".0123456789") in names])
@@ -174,7 +167,7 @@ class RunOutput:
         now_s = time.monotonic()
         if now_s - self._noted_s >= _NOTE_INTERVAL_S:
             self._noted_s = now_s
-            with suppress(OutputError):  # the note is not a result
+            with suppress(output_files.OutputError):  # the note is not a result
                 replace(self._note, frames=self._n_frames).write(self.folder)
         try:
             ended = record(result)
@@ -206,7 +199,7 @@ class RunOutput:
             steps.append(partial(write_clips, overlay, rows.events, clips, starts_s=rows.starts_s))
             self.files += (clips,) if rows.events else ()
         steps += [
-            partial(write_json, folder / "summary.json", summary),
+            partial(output_files.write_json, folder / "summary.json", summary),
             partial(write_report, folder / "report.html", report, columns, rows.events, clips=clips, poses=poses),
             partial(self._writers.close, summary),
         ]
@@ -214,7 +207,7 @@ class RunOutput:
             times = {"first_s": rows.starts_s, "last_s": rows.last_s}
             steps.append(partial(write_positions, folder / TELEMETRY_FILE, track, **times))
         if settings.table is not None:
-            steps.append(partial(write_text, settings.table, markdown(summary)))
+            steps.append(partial(output_files.write_text, settings.table, markdown(summary)))
         call_all(steps)
 
     def close(self) -> None:

@@ -29,15 +29,7 @@ import numpy as np
 from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.foundation.arrays import Image
 from track_range.foundation.files.output_files import make_folder, write_text
-from track_range.simulation.camera.drive_files import (
-    PackedWriter,
-    disparity_map,
-    image_writer,
-    object_map,
-    with_even_size,
-    write_masks,
-    write_png,
-)
+from track_range.simulation.camera import drive_files
 from track_range.simulation.camera.faults import kept_frames, rig_in_file
 from track_range.simulation.camera.playback import play_back
 from track_range.simulation.camera.tables import TRUTH_HEADER, contacts_text, ego_speed_text, kitti_text, truth_rows
@@ -103,7 +95,7 @@ def write_drive(
     in it cannot be written.
     """
     options = options or DriveOptions()
-    rig = with_even_size(rig or kitti_like_rig())
+    rig = drive_files.with_even_size(rig or kitti_like_rig())
     n_frames = round(seconds * fps)
     if n_frames < 1:
         raise ValueError(f"seconds: expected at least one frame, got {seconds:g} s at {fps:g} frames/s")
@@ -125,10 +117,10 @@ def write_drive(
     labels: list[KittiLabels] = []
     rows: list[str] = []
     layout = options.stereo_layout
-    packed = None if layout is None else PackedWriter(drive.left, rig.left, fps, layout)
+    packed = None if layout is None else drive_files.PackedWriter(drive.left, rig.left, fps, layout)
     with (
-        closing(packed or image_writer(drive.left, rig.left, fps)) as left,
-        closing(packed or image_writer(drive.right, rig.left, fps)) as right,
+        closing(packed or drive_files.image_writer(drive.left, rig.left, fps)) as left,
+        closing(packed or drive_files.image_writer(drive.right, rig.left, fps)) as right,
         ThreadPoolExecutor(N_THREADS) as pool,
     ):
         for number, left_image, right_image in _rendering(pool, renderer, times_s, options):
@@ -141,11 +133,11 @@ def write_drive(
                 labels.append(visible.labels)
                 rows.append(truth_rows(renderer, time_s, visible))
                 if options.masks:
-                    write_masks(folder, len(rows) - 1, part_labels[0], scene)
+                    drive_files.write_masks(folder, len(rows) - 1, part_labels[0], scene)
                 if options.disparity:
-                    objects = object_map(inverse_depth, pinholes, visible, scene.rotations(time_s))
+                    objects = drive_files.object_map(inverse_depth, pinholes, visible, scene.rotations(time_s))
                     _write_kitti_2015(folder / "image_2", number, image)
-                    _write_kitti_2015(folder / "disp_occ_0", number, disparity_map(inverse_depth, pinholes))
+                    _write_kitti_2015(folder / "disp_occ_0", number, drive_files.disparity_map(inverse_depth, pinholes))
                     _write_kitti_2015(folder / "obj_map", number, objects)
             if right_image is not None:
                 image = right_image.result()
@@ -188,4 +180,4 @@ def _rendering(
 
 def _write_kitti_2015(folder: Path, number: int, image: Any) -> None:
     make_folder(folder)
-    write_png(folder / f"{number:06}_10.png", image)
+    drive_files.write_png(folder / f"{number:06}_10.png", image)

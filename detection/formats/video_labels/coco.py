@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from track_range.detection.formats import table_checks
 from track_range.detection.formats.box_table import (
     HALF_PIXEL_PX,
     BoxTable,
@@ -36,13 +37,6 @@ from track_range.detection.formats.box_table import (
 )
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_DISTANCE_M, MAX_FRAME, MAX_ID, MAX_SIDE_PX
-from track_range.detection.formats.table_checks import (
-    check_identities,
-    check_names,
-    first_frame_note,
-    frame_in_name,
-    ignored_note,
-)
 from track_range.foundation.files.input_files import quoted
 from track_range.foundation.files.numeric_text import number
 from track_range.foundation.files.structured_text import read_json
@@ -85,9 +79,9 @@ def read_coco(path: Path, video: VideoFacts) -> BoxTable:
     if boxes and xyxy.max() <= 1:
         raise LabelFileError(f"{path}: expected each bbox in pixels, found only fractions of the image size.")
     facts = video.completed_by(coco.video_facts(frame_of), path)
-    notes = (*notes, *ignored_note(path, n_empty, "without width or height"))
+    notes = (*notes, *table_checks.ignored_note(path, n_empty, "without width or height"))
     table = BoxTable.of(**columns, xyxy_px=xyxy - HALF_PIXEL_PX, video=facts, notes=notes)
-    check_identities(table, path)
+    table_checks.check_identities(table, path)
     return table
 
 
@@ -142,14 +136,16 @@ class CocoFile:
                 frame_of[image_id] = self._integer(image, key, f"images[{index}]", 0, MAX_FRAME)
                 continue
             name = self.file_name(image, index)
-            frame = frame_in_name(Path(name).stem)
+            frame = table_checks.frame_in_name(Path(name).stem)
             if frame is None:
                 raise self._fault(f"images[{index}]", "a frame_index, or a file_name with a frame number", name)
             frame_of[image_id] = frame
         numbers = sorted(frame_of.values())
-        notes = list(first_frame_note(self.path, numbers[0] if numbers else 0, len(numbers)))
+        notes = list(table_checks.first_frame_note(self.path, numbers[0] if numbers else 0, len(numbers)))
         if numbers and key is None:
-            check_names((str(Path(image["file_name"]).with_suffix("")) for image in images.values()), self.path)
+            table_checks.check_names(
+                (str(Path(image["file_name"]).with_suffix("")) for image in images.values()), self.path
+            )
             span = f"{numbers[0]} to {numbers[-1]}"
             notes.insert(0, f"{self.path.name}: frame numbers are the numbers in the names of the images, {span}.")
         for frame, after in pairwise(numbers):

@@ -24,6 +24,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from track_range.detection.boxes import xyxy_from_cxcywh
 from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.formats import table_checks
 from track_range.detection.formats.box_table import (
     HALF_PIXEL_PX,
     BoxTable,
@@ -35,14 +36,6 @@ from track_range.detection.formats.box_table import (
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.image_labels.yolo_labels import names_for_folder
 from track_range.detection.formats.limits import MAX_FRAME, MAX_ID, MAX_SIDE_PX
-from track_range.detection.formats.table_checks import (
-    check_identities,
-    check_names,
-    first_frame_note,
-    frame_in_name,
-    ignored_note,
-    omitted_regions_note,
-)
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.files.atomic_files import describe
 from track_range.foundation.files.images import IMAGE_SUFFIXES, header_size_px
@@ -94,7 +87,7 @@ def read_yolo_folder(path: Path, video: VideoFacts) -> BoxTable:
         raise LabelFileError(f"{path}: expected YOLO labels such as labels/NAME_000000.txt, found none.")
     frame_of = _frames(path, files)
     first_frame = min(frame_of.values())
-    notes = list(first_frame_note(path, first_frame, len(files)))
+    notes = list(table_checks.first_frame_note(path, first_frame, len(files)))
     names = names_for_folder(folder)
     if not names:
         names = ROAD_CLASSES
@@ -130,9 +123,9 @@ def read_yolo_folder(path: Path, video: VideoFacts) -> BoxTable:
         xyxy_from_cxcywh(table[is_valid, 1:5]) * size_px - HALF_PIXEL_PX,
         score=score[is_valid],
         video=replace(facts, first_frame=first_frame),
-        notes=(*notes, *ignored_note(path, int((~is_valid).sum()), "without width or height")),
+        notes=(*notes, *table_checks.ignored_note(path, int((~is_valid).sum()), "without width or height")),
     )
-    check_identities(result, path)
+    table_checks.check_identities(result, path)
     return result
 
 
@@ -190,7 +183,7 @@ def _label_files(path: Path) -> tuple[list[Path], Path]:
 def _frames(path: Path, files: Sequence[Path]) -> dict[Path, int]:
     file_of: dict[int, Path] = {}
     for file in files:
-        frame = frame_in_name(file.stem)
+        frame = table_checks.frame_in_name(file.stem)
         if frame is None:
             raise LabelFileError(f"{file}: expected a frame number at the end of the name, such as NAME_000000.txt.")
         if (other := file_of.setdefault(frame, file)) != file:
@@ -198,7 +191,7 @@ def _frames(path: Path, files: Sequence[Path]) -> dict[Path, int]:
                 f"{path}: expected one file for each frame of one video, found {quoted(str(other.relative_to(path)))} "
                 f"and {quoted(str(file.relative_to(path)))} for frame {frame}."
             )
-    check_names((file.stem for file in files), path)
+    table_checks.check_names((file.stem for file in files), path)
     return {file: frame for frame, file in file_of.items()}
 
 
@@ -268,4 +261,4 @@ def write_yolo(table: BoxTable, path: Path) -> Written:
     (path / DATA_YAML).write_text(f"{WRITTEN_MARK}\n{yaml_text(document)}", encoding="utf-8", newline="\n")
     n_outside = int((~is_visible & ~table.is_region).sum())
     notes = (f"Boxes outside the image, which are not written: {n_outside}.",) if n_outside else ()
-    return Written(len(written), (*notes, *omitted_regions_note(table)))
+    return Written(len(written), (*notes, *table_checks.omitted_regions_note(table)))

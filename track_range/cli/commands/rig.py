@@ -18,15 +18,8 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rectification import Rectifier
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.virtual_pinhole import field_of_view
+from track_range.stereo.rig_formats import reading
 from track_range.stereo.rig_formats.matrices import UNIT_NAMES
-from track_range.stereo.rig_formats.reading import (
-    format_of,
-    left_from_reference_m,
-    load_calibration,
-    mounting_of,
-    read_calibration,
-    rig_writers,
-)
 from track_range.stereo.rig_formats.rig_format import write_rig_text
 from track_range.stereo.rig_formats.rig_yaml import save_camera
 from track_range.stereo.rig_formats.template import rig_template
@@ -76,18 +69,20 @@ _SHOWN_M = np.array([10.0, 30.0, 60.0])  # distances for which disparities are s
 
 
 def _convert(options: ConvertOptions) -> None:
-    source, out, writers = options.source, options.out, rig_writers()
+    source, out, writers = options.source, options.out, reading.rig_writers()
     if options.to not in writers:
         raise UsageError(f"--to {options.to}: expected one of {', '.join(writers)}.")
     if real_path(source) == real_path(out):
         raise UsageError(f"{out}: expected a file other than the input; choose another name for OUT.")
     size_px = _size_of(options.size)
-    calibration, loading_notes = load_calibration(source, size_px=size_px, metres_per_unit=_unit_of(options.unit))
+    calibration, loading_notes = reading.load_calibration(
+        source, size_px=size_px, metres_per_unit=_unit_of(options.unit)
+    )
     camera = calibration.left if isinstance(calibration, StereoRig) else calibration
     if not camera.width_px:
         raise RigError(f"{source}: expected an image size, found none; give --size WIDTHxHEIGHT.")
-    mounting, notes = mounting_of(source), list(loading_notes)
-    shift_m = float(np.linalg.norm(left_from_reference_m(source, is_grey=False, size_px=size_px)))
+    mounting, notes = reading.mounting_of(source), list(loading_notes)
+    shift_m = float(np.linalg.norm(reading.left_from_reference_m(source, is_grey=False, size_px=size_px)))
     if shift_m:  # of KITTI files
         notes.append(
             f"The reference frame of KITTI labels is {shift_m:.3f} m from the left camera, which OUT does not store: "
@@ -108,11 +103,11 @@ def _convert(options: ConvertOptions) -> None:
 
 def _show(options: ShowOptions) -> None:
     source, size_px, metres_per_unit = options.source, _size_of(options.size), _unit_of(options.unit)
-    calibration, notes = load_calibration(source, size_px=size_px, metres_per_unit=metres_per_unit)
-    content = read_calibration(source, is_grey=False, is_pair=True).in_unit(metres_per_unit)
+    calibration, notes = reading.load_calibration(source, size_px=size_px, metres_per_unit=metres_per_unit)
+    content = reading.read_calibration(source, is_grey=False, is_pair=True).in_unit(metres_per_unit)
     if source.is_file():
         unit = f"; lengths in the file: {UNIT_NAMES.get(content.metres_per_unit, 'metres')}" if content.right else ""
-        print_line(console, f"Recognised: {format_of(source)[0].title}{unit}.")
+        print_line(console, f"Recognised: {reading.format_of(source)[0].title}{unit}.")
     if isinstance(calibration, StereoRig):
         cameras = {"left": calibration.left, "right": calibration.right}
     else:

@@ -22,15 +22,7 @@ from track_range.fleet.engine.remaining import content_hash, fingerprint
 from track_range.fleet.engine.worker import peak_memory_bytes, reset_peak_memory
 from track_range.fleet.inputs.clip import Clip
 from track_range.fleet.inputs.dry_run import check_clips
-from track_range.fleet.output.data_set import (
-    TRACKS_FILE,
-    events_location,
-    publish,
-    publish_event_videos,
-    publish_record,
-    runs_location,
-    tracks_location,
-)
+from track_range.fleet.output import data_set
 from track_range.fleet.output.record import ERROR_FIGURES, ClipRecord, utc_now
 from track_range.fleet.settings import size_bytes
 from track_range.fleet.storage.errors import StorageError
@@ -53,7 +45,7 @@ if TYPE_CHECKING:
 _DETECTORS = OpenedDetectors()  # detector of this process, which its clips share
 _MAX_ERROR = 600  # longest error of a clip, in characters
 _MIN_BYTES_PER_S = 1000.0  # lowest plausible data rate of a video; a damaged header may state any duration
-_NOT_PUBLISHED = {"settings.yaml", TRACKS_FILE, EVENTS_PARQUET}  # with paths, or published elsewhere
+_NOT_PUBLISHED = {"settings.yaml", data_set.TRACKS_FILE, EVENTS_PARQUET}  # with paths, or published elsewhere
 
 
 class _PublishingError(Exception):
@@ -162,21 +154,21 @@ class _ClipRun:
             "track_range.content_hash": self._record.content_hash,
             "track_range.clip": name,
         }
-        write_tracks(folder / TRACKS_FILE, table, metadata)
+        write_tracks(folder / data_set.TRACKS_FILE, table, metadata)
         write_events_parquet(folder / EVENTS_PARQUET, run.events, metadata)
         self._add_summary(run.summary, table.num_rows, run)
         try:
-            publish(out, tracks_location(out, name), folder / TRACKS_FILE)
-            publish(out, events_location(out, name), folder / EVENTS_PARQUET)
+            data_set.publish(out, data_set.tracks_location(out, name), folder / data_set.TRACKS_FILE)
+            data_set.publish(out, data_set.events_location(out, name), folder / EVENTS_PARQUET)
             if run_folder is not None:
                 left_out = _NOT_PUBLISHED | (set() if plan.settings.reports else {"report.html", "summary.json"})
                 for file in sorted(run_folder.iterdir()):
                     if file.is_file() and file.name not in left_out and file.name[0] != ".":
-                        publish(out, runs_location(out, name).child(file.name), file)
+                        data_set.publish(out, data_set.runs_location(out, name).child(file.name), file)
                 if settings.clips:
-                    publish_event_videos(out, name, sorted((run_folder / CLIPS_FOLDER).glob("*.mp4")))
+                    data_set.publish_event_videos(out, name, sorted((run_folder / CLIPS_FOLDER).glob("*.mp4")))
             self._record = self._with_times(self._record)
-            publish_record(out, self._record.row())
+            data_set.publish_record(out, self._record.row())
         except StorageError as error:
             raise _PublishingError(str(error)) from error
 

@@ -17,14 +17,7 @@ from itertools import islice
 from typing import Any, NamedTuple
 
 from track_range.fleet.errors import FleetError
-from track_range.fleet.output.data_set import (
-    CLIPS_FILE,
-    events_location,
-    read_clips,
-    read_journal,
-    runs_location,
-    tracks_location,
-)
+from track_range.fleet.output import data_set
 from track_range.fleet.output.state import FleetState, read_state, state_text
 from track_range.fleet.report import clip_figures
 from track_range.fleet.report.clip_figures import ClipColumns
@@ -122,14 +115,14 @@ def fleet_figures(
     problems: list[str] = []
     state = read_state(out)
     try:
-        table = read_clips(out)
+        table = data_set.read_clips(out)
     except FleetError as error:
         reason = str(error).partition("; ")[0].removesuffix(".")
         problems.append(f"{reason}; only the clips in the journal are in this report.")
-        table = read_journal(out)
+        table = data_set.read_journal(out)
     clips = ClipColumns(table)
     if state is None and not len(clips):
-        content = f"only a damaged {CLIPS_FILE}" if problems else "neither fleet.json nor clips"
+        content = f"only a damaged {data_set.CLIPS_FILE}" if problems else "neither fleet.json nor clips"
         raise FleetError(f"{out}: expected the results of `track-range fleet run`, found {content}.")
     done, failed = clips.with_status("done"), clips.with_status("failed")
     tracks, events = _rows(out, done, problems, progress)
@@ -173,7 +166,7 @@ def fleet_figures(
         published[name] = ()
         with suppress(StorageError):
             for file in names:
-                published[name] += (file,) if runs_location(out, name).child(file).exists() else ()
+                published[name] += (file,) if data_set.runs_location(out, name).child(file).exists() else ()
     return FleetFigures(figures, published, _starts_s(done, set(files), state))
 
 
@@ -204,7 +197,10 @@ def _read_clip(out: Location, name: str, n_events: float) -> tuple[TrackFigures,
     from pyarrow.parquet import ParquetFile
 
     tracks, events, faults = TrackFigures(), EventFigures(), []
-    for location, content in ((tracks_location(out, name), "rows"), (events_location(out, name), "events")):
+    for location, content in (
+        (data_set.tracks_location(out, name), "rows"),
+        (data_set.events_location(out, name), "events"),
+    ):
         if content == "events" and not n_events > 0:
             continue
         try:
@@ -276,7 +272,7 @@ def _starts_s(done: ClipColumns, names: set[str], state: FleetState | None) -> d
     for name, inputs in zip(done.texts("clip"), done.texts("inputs"), strict=True):
         if name in names:
             try:
-                own = parse_json(inputs, CLIPS_FILE, FleetError, "the inputs of a clip")["settings"]["start_s"]
+                own = parse_json(inputs, data_set.CLIPS_FILE, FleetError, "the inputs of a clip")["settings"]["start_s"]
             except (FleetError, LookupError, TypeError):
                 own = None
             starts_s[name] = next(filter(math.isfinite, (number(str(own)), number(str(shared)))), 0.0)

@@ -10,39 +10,29 @@ from typing import Any
 from track_range.fleet.output.record import ERROR_FIGURES
 from track_range.fleet.report.clip_figures import ALIGNMENT_FIGURES, MAX_GROUPS
 from track_range.fleet.report.track_figures import Figures
-from track_range.views.report.tables import (
-    METHOD_COLUMNS,
-    NOTHING,
-    SIGMA,
-    Cell,
-    Column,
-    ColumnSpec,
-    Grid,
-    columns_of,
-    grid_of,
-)
+from track_range.views.report import tables
 
 _Link = Callable[[Figures], str]
 
 DRIFT_TITLES = dict(zip(ALIGNMENT_FIGURES, ("Vertical offset", "Constant error of the disparities"), strict=True))
 """Titles of the tables of the calibration drift."""
 
-_PER_HOUR: ColumnSpec = ("per hour of video", "per_hour")
-_CLASS_COLUMNS: tuple[ColumnSpec, ...] = (
+_PER_HOUR: tables.ColumnSpec = ("per hour of video", "per_hour")
+_CLASS_COLUMNS: tuple[tables.ColumnSpec, ...] = (
     ("tracks", "tracks", "{:.0f}"),
     _PER_HOUR,
     ("mean s visible", "mean_visible_s"),
 )
-_KIND_COLUMNS: tuple[ColumnSpec, ...] = (("events", "events", "{:.0f}"), _PER_HOUR)
+_KIND_COLUMNS: tuple[tables.ColumnSpec, ...] = (("events", "events", "{:.0f}"), _PER_HOUR)
 _DRIFT_COLUMNS = ("clips", "from", "to", "median px", "first px", "last px", "change px")
-_WORK_COLUMNS: tuple[ColumnSpec, ...] = (
+_WORK_COLUMNS: tuple[tables.ColumnSpec, ...] = (
     ("video h", "video_h", "{:.2f}"),
     ("worker h", "worker_h", "{:.2f}"),
     ("frames/s per worker", "frames_per_worker_s"),
     ("video s per worker s", "video_s_per_worker_s", "{:.2f}"),
     ("overhead s per clip", "median_overhead_s", "{:.2f}"),
 )
-_MEMORY_COLUMNS: tuple[ColumnSpec, ...] = (
+_MEMORY_COLUMNS: tuple[tables.ColumnSpec, ...] = (
     ("median MB", "median_memory_mb", "{:.0f}"),
     ("peak MB", "max_memory_mb", "{:.0f}"),
 )
@@ -56,20 +46,20 @@ _EVENT_MEASURES: tuple[_Measure, ...] = (
     ("contact %", "probability", "{:.0%}"),
     ("TTC s", "min_ttc_s", "{:.1f}"),
     ("distance m", "min_distance_m", "{:.1f}"),
-    (f"{SIGMA} m", "min_distance_sigma_m", "{:.2f}"),
+    (f"{tables.SIGMA} m", "min_distance_sigma_m", "{:.2f}"),
     ("closing m/s", "closing_mps", "{:.1f}"),
 )
 _TRACK_MEASURES: tuple[_Measure, ...] = (("track", "track_id", "{}"), ("class", "road_class", "{}"))
 _CLOSEST_MEASURES: tuple[_Measure, ...] = (
     *_TRACK_MEASURES,
     ("distance m", "distance_m", "{:.1f}"),
-    (f"{SIGMA} m", "sigma_m", "{:.2f}"),
+    (f"{tables.SIGMA} m", "sigma_m", "{:.2f}"),
     ("x m", "x_m", "{:+.1f}"),
 )
 _COLLISION_MEASURES: tuple[_Measure, ...] = (
     *_TRACK_MEASURES,
     ("TTC s", "ttc_s", "{:.1f}"),
-    (f"{SIGMA} s", "ttc_sigma_s", "{:.1f}"),
+    (f"{tables.SIGMA} s", "ttc_sigma_s", "{:.1f}"),
     *_CLOSEST_MEASURES[2:],
 )
 
@@ -94,7 +84,7 @@ class Section:
     anchor: str
     title: str
     text: str
-    grids: tuple[Grid, ...]
+    grids: tuple[tables.Grid, ...]
     absence: str
 
 
@@ -126,15 +116,15 @@ def fleet_sections(figures: Figures, links: Links | None = None) -> list[Section
         ),
         "closest": (
             "Closest approaches",
-            f"Smallest filtered fused distance of a road user, with its standard deviation {SIGMA} of at most half the "
-            "distance; one row per track.",
+            f"Smallest filtered fused distance of a road user, with its standard deviation {tables.SIGMA} of at most "
+            "half the distance; one row per track.",
             [_ranking("Closest tracks", figures["closest"], _CLOSEST_MEASURES, links)],
             "No road user has a distance.",
         ),
         "collisions": (
             "Shortest times to collision",
             "Time to collision of the front with road users on the path, or that will be there with a probability of "
-            f"at least one half. {SIGMA} at most half of the time; one row per track.",
+            f"at least one half. {tables.SIGMA} at most half of the time; one row per track.",
             [_ranking("Tracks on a collision course", figures["collisions"], _COLLISION_MEASURES, links)],
             "No road user was on a collision course.",
         ),
@@ -178,56 +168,56 @@ def fleet_sections(figures: Figures, links: Links | None = None) -> list[Section
     ]
 
 
-def _grid(title: str, name: str, rows: Sequence[Figures], columns: Iterable[ColumnSpec]) -> Grid:
-    return grid_of(title, name, [str(row[name]) for row in rows], columns_of(rows, columns))
+def _grid(title: str, name: str, rows: Sequence[Figures], columns: Iterable[tables.ColumnSpec]) -> tables.Grid:
+    return tables.grid_of(title, name, [str(row[name]) for row in rows], tables.columns_of(rows, columns))
 
 
-def _hour_grid(rows: Sequence[Figures]) -> Grid:
-    names = [NOTHING if row["hour_utc"] is None else f"{row['hour_utc']:02}:00" for row in rows]
-    columns = columns_of(rows, [("video h", "video_h", "{:.2f}")])
+def _hour_grid(rows: Sequence[Figures]) -> tables.Grid:
+    names = [tables.NOTHING if row["hour_utc"] is None else f"{row['hour_utc']:02}:00" for row in rows]
+    columns = tables.columns_of(rows, [("video h", "video_h", "{:.2f}")])
     for name in rows[0]["tracks"] if rows else ():
         per_hour = [row["tracks"][name] / row["video_h"] if row["video_h"] > 0 else None for row in rows]
-        columns.append(Column(name, per_hour, "{:.0f}"))
-    return grid_of("Tracks per hour of video, by hour of the day", "hour UTC", names, columns)
+        columns.append(tables.Column(name, per_hour, "{:.0f}"))
+    return tables.grid_of("Tracks per hour of video, by hour of the day", "hour UTC", names, columns)
 
 
 def _ranking(
     title: str, rows: Sequence[Figures], measures: Sequence[_Measure], links: Links, *, is_event: bool = False
-) -> Grid:
+) -> tables.Grid:
     """Table of ranked rows: clip with a link, measures, time in the video with a link, UTC."""
     moment, video = ("peak_s", links.event) if is_event else ("time_s", links.overlay)
     cells = tuple(
         (
-            Cell(row["clip"], link=links.report(row)),
-            *(Cell(_text(row[key], pattern)) for _, key, pattern in measures),
-            Cell(f"{row[moment]:.1f}", link=video(row)),
-            Cell(utc_text(row["utc_s"])),
+            tables.Cell(row["clip"], link=links.report(row)),
+            *(tables.Cell(_text(row[key], pattern)) for _, key, pattern in measures),
+            tables.Cell(f"{row[moment]:.1f}", link=video(row)),
+            tables.Cell(utc_text(row["utc_s"])),
         )
         for row in rows
     )
-    return Grid(title, ("clip", *(heading for heading, _, _ in measures), "at s", "UTC"), cells)
+    return tables.Grid(title, ("clip", *(heading for heading, _, _ in measures), "at s", "UTC"), cells)
 
 
-def _coverage_grid(rows: Sequence[Figures]) -> Grid:
+def _coverage_grid(rows: Sequence[Figures]) -> tables.Grid:
     bands = sorted({(row["from_m"], row["to_m"]): row["boxes"] for row in rows}.items(), key=lambda band: band[0][0])
     coverage = {(row["method"], row["from_m"]): row["coverage"] for row in rows}
     names = [f"{low:g} m and more" if high is None else f"{low:g}-{high:g} m" for (low, high), _ in bands]
-    columns = [Column("boxes", [boxes for _, boxes in bands], "{:.0f}")]
+    columns = [tables.Column("boxes", [boxes for _, boxes in bands], "{:.0f}")]
     for method in dict.fromkeys(row["method"] for row in rows):
-        columns.append(Column(f"{method} %", [coverage[method, low] for (low, _), _ in bands], "{:.0f}", 100.0))
-    return grid_of("Coverage by distance band", "distance", names, columns)
+        columns.append(tables.Column(f"{method} %", [coverage[method, low] for (low, _), _ in bands], "{:.0f}", 100.0))
+    return tables.grid_of("Coverage by distance band", "distance", names, columns)
 
 
-def _error_grid(rows: Sequence[Figures]) -> Grid:
-    specs = {spec[1]: spec for spec in METHOD_COLUMNS}
+def _error_grid(rows: Sequence[Figures]) -> tables.Grid:
+    specs = {spec[1]: spec for spec in tables.METHOD_COLUMNS}
     shown = [specs[key] for key in ("coverage", *ERROR_FIGURES)]
     columns = (("clips", "clips", "{:.0f}"), *shown, ("worst clip %", "worst_pct"))
     grid = _grid("Distance error, median over the clips", "method", rows, columns)
-    with_clip = tuple((*cells, Cell(row["worst_clip"])) for cells, row in zip(grid.rows, rows, strict=True))
-    return Grid(grid.title, (*grid.columns, "worst clip"), with_clip)
+    with_clip = tuple((*cells, tables.Cell(row["worst_clip"])) for cells, row in zip(grid.rows, rows, strict=True))
+    return tables.Grid(grid.title, (*grid.columns, "worst clip"), with_clip)
 
 
-def _drift_grid(rows: Sequence[Figures], name: str, group: str | None) -> Grid:
+def _drift_grid(rows: Sequence[Figures], name: str, group: str | None) -> tables.Grid:
     texts = [
         (
             str(row["group"]),
@@ -237,42 +227,44 @@ def _drift_grid(rows: Sequence[Figures], name: str, group: str | None) -> Grid:
         )
         for row in rows
     ]
-    return Grid(DRIFT_TITLES[name], (group or "", *_DRIFT_COLUMNS), tuple(tuple(map(Cell, row)) for row in texts))
+    return tables.Grid(
+        DRIFT_TITLES[name], (group or "", *_DRIFT_COLUMNS), tuple(tuple(map(tables.Cell, row)) for row in texts)
+    )
 
 
-def _text_grid(title: str, rows: Sequence[Figures], headings: tuple[str, ...]) -> Grid:
+def _text_grid(title: str, rows: Sequence[Figures], headings: tuple[str, ...]) -> tables.Grid:
     """Table of reasons or notes, with the number of clips, and the names of some of a reason."""
     cells = []
     for row in rows:
         texts = {**row, "clips": str(row["n"])}
         if "names" in headings:
             texts["names"] = ", ".join(row["clips"]) + (", ..." if row["n"] > len(row["clips"]) else "")
-        cells.append(tuple(Cell(texts[heading]) for heading in headings))
-    return Grid(title, headings, tuple(cells), has_sentences=True)
+        cells.append(tuple(tables.Cell(texts[heading]) for heading in headings))
+    return tables.Grid(title, headings, tuple(cells), has_sentences=True)
 
 
-def _work_grids(figures: Figures) -> list[Grid]:
-    work = columns_of([figures], [("clips/h", "clips_per_hour", "{:.0f}"), *_WORK_COLUMNS])
+def _work_grids(figures: Figures) -> list[tables.Grid]:
+    work = tables.columns_of([figures], [("clips/h", "clips_per_hour", "{:.0f}"), *_WORK_COLUMNS])
     node_columns = (("clips", "clips", "{:.0f}"), *_WORK_COLUMNS, *_MEMORY_COLUMNS)
     stages_ms = figures["stages_ms"]
-    speeds = [Column("ms/frame", [*stages_ms.values()], "{:.2f}")]
-    speeds.append(Column("frames/s", [1000 / ms for ms in stages_ms.values()]))
+    speeds = [tables.Column("ms/frame", [*stages_ms.values()], "{:.2f}")]
+    speeds.append(tables.Column("frames/s", [1000 / ms for ms in stages_ms.values()]))
     return [
-        grid_of("Work", "", ["all clips"], work) if figures["nodes"] else Grid("Work", (), ()),
+        tables.grid_of("Work", "", ["all clips"], work) if figures["nodes"] else tables.Grid("Work", (), ()),
         _grid("Nodes, with the memory of a worker", "node", figures["nodes"], node_columns),
-        grid_of("Run time by stage (stages overlap)", "stage", list(stages_ms), speeds),
+        tables.grid_of("Run time by stage (stages overlap)", "stage", list(stages_ms), speeds),
     ]
 
 
 def _text(value: Any, pattern: str) -> str:
-    return NOTHING if value is None else pattern.format(value)
+    return tables.NOTHING if value is None else pattern.format(value)
 
 
 def utc_text(utc_s: float | None) -> str:
     """A Unix time as "2026-05-04 08:10:02"; "-" = unknown."""
     if utc_s is None:
-        return NOTHING
+        return tables.NOTHING
     try:
         return datetime.fromtimestamp(utc_s, UTC).strftime("%Y-%m-%d %H:%M:%S")
     except (ValueError, OverflowError, OSError):
-        return NOTHING
+        return tables.NOTHING

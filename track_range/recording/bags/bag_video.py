@@ -11,15 +11,9 @@ import numpy as np
 from track_range.foundation.arrays import Image
 from track_range.foundation.files.images import check_size
 from track_range.foundation.files.input_files import counted, shortened
+from track_range.recording.bags import decoding
 from track_range.recording.bags.bag import open_bag, topic_list
 from track_range.recording.bags.container import DamagedError, Topic
-from track_range.recording.bags.decoding import (
-    CALIBRATION_TYPES,
-    IMAGE_TYPES,
-    ImageDecoder,
-    camera_message,
-    is_readable,
-)
 from track_range.recording.files.file_state import FileState
 from track_range.recording.files.video_file import ZED_SENTENCE
 from track_range.recording.frame import TIME_EPSILON_S, VideoError, VideoFrame, is_neutral, strictly_later
@@ -80,7 +74,9 @@ class BagVideo(RecordedVideo):
         self.is_rectified = "rect" in self._topic.name.lower().replace("direct", "")
         self.camera = self._calibration()
         depth = [
-            topic.name for topic in self._bag.topics.values() if topic.type in IMAGE_TYPES and _is_depth(topic.name)
+            topic.name
+            for topic in self._bag.topics.values()
+            if topic.type in decoding.IMAGE_TYPES and _is_depth(topic.name)
         ]
         if depth and self._topic.name not in depth:
             self._setup_notes.append(f"{name.path}: depth images ({', '.join(depth)}) are left out.")
@@ -109,7 +105,7 @@ class BagVideo(RecordedVideo):
         """See `RecordedVideo.frames`; reading ends where the file is cut off."""
         self._n_backward = self._n_damaged = 0
         self.check_unchanged()
-        decoder, last_s = ImageDecoder(self._topic), None
+        decoder, last_s = decoding.ImageDecoder(self._topic), None
         recorded_from_s = 0.0 if decoder.is_video else from_s - _MAX_LATENCY_S  # a video is decoded from its start
         for number, recorded_s, data in self._bag.messages(self._topic.name, recorded_from_s):
             try:
@@ -138,12 +134,12 @@ class BagVideo(RecordedVideo):
             state.check_unchanged(file)
 
     def _chosen_topic(self) -> Topic:
-        topics, listed = self._bag.topics, topic_list(self._bag, IMAGE_TYPES)
+        topics, listed = self._bag.topics, topic_list(self._bag, decoding.IMAGE_TYPES)
         if any(topic.encoding == _ZED_ENCODING for topic in topics.values()) or "svo_header" in topics:
             raise VideoError(f"{self.path}: {ZED_SENTENCE}")
         name = self.path.topic
         if name is None:
-            images = [topic.name for topic in topics.values() if topic.type in IMAGE_TYPES]
+            images = [topic.name for topic in topics.values() if topic.type in decoding.IMAGE_TYPES]
             images = [one for one in images if not _is_depth(one)] or images
             if len(images) != 1:
                 raise VideoError(f"{self.path}: expected --topics with the topics of the images, found {listed}.")
@@ -152,9 +148,9 @@ class BagVideo(RecordedVideo):
             end = f", {self._bag.end_problem}" if self._bag.end_problem else ""
             raise VideoError(f"{self.path}: no such topic; found {listed}{end}.")
         topic = topics[name]
-        if topic.type not in IMAGE_TYPES:
+        if topic.type not in decoding.IMAGE_TYPES:
             raise VideoError(f"{self.path}: expected images, found {topic.type}; found {listed}.")
-        if not is_readable(topic):
+        if not decoding.is_readable(topic):
             raise VideoError(
                 f"{self.path}: expected messages encoded in CDR, ROS 1 or protobuf, got {shortened(topic.encoding)}; "
                 "convert the bag."
@@ -162,7 +158,7 @@ class BagVideo(RecordedVideo):
         return topic
 
     def _first_image(self) -> tuple[Image, list[float]]:
-        decoder, first = ImageDecoder(self._topic), None
+        decoder, first = decoding.ImageDecoder(self._topic), None
         times_s: list[tuple[float, float]] = []
         problem = "no messages"
         for _, recorded_s, data in itertools.islice(self._bag.messages(self._topic.name, 0.0), _N_FIRST):
@@ -185,11 +181,11 @@ class BagVideo(RecordedVideo):
         levels = ["/".join(parts[:-up]) for up in range(1, min(_MAX_LEVELS, len(parts)) + 1)]
         for level, name in itertools.product(levels, _CALIBRATION_NAMES):
             topic = self._bag.topics.get(f"{level}/{name}")
-            if topic is None or topic.type not in CALIBRATION_TYPES or not is_readable(topic):
+            if topic is None or topic.type not in decoding.CALIBRATION_TYPES or not decoding.is_readable(topic):
                 continue
             for _, _, data in itertools.islice(self._bag.messages(topic.name, 0.0), _N_FIRST):
                 try:
-                    camera = camera_message(topic, data)
+                    camera = decoding.camera_message(topic, data)
                 except DamagedError:
                     continue
                 if camera.k[0, 0] > 0:  # an uncalibrated camera has K = 0

@@ -15,20 +15,12 @@ from mcap.records import Channel, Chunk, ChunkIndex, DataEnd, Message, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from track_range.foundation.files.input_files import open_regular
-from track_range.recording.bags.container import (
-    DAMAGE,
-    EXPECTED,
-    MAX_RECORD_BYTES,
-    DamagedError,
-    Topic,
-    decompressed,
-    ros2_type,
-)
+from track_range.recording.bags import container
 from track_range.recording.frame import VideoError
 
 _SCAN_BYTES = 500_000_000  # number of bytes of a file without a summary that are searched for topics
 
-_DAMAGE = (*DAMAGE, McapError)
+_DAMAGE = (*container.DAMAGE, McapError)
 
 
 class McapFile:
@@ -36,11 +28,11 @@ class McapFile:
 
     def __init__(self, path: Path) -> None:
         self.path, self.end_problem, self.n_damaged = path, "", 0
-        self.topics: dict[str, Topic] = {}
+        self.topics: dict[str, container.Topic] = {}
         self._channels: dict[int, Channel] = {}
         self._schemas: dict[int, Schema] = {}
         self._chunks: list[ChunkIndex] = []
-        with open_regular(path, VideoError, EXPECTED) as file:
+        with open_regular(path, VideoError, container.EXPECTED) as file:
             with suppress(*_DAMAGE):
                 self._read_summary(file)
             if not self.topics:
@@ -50,7 +42,7 @@ class McapFile:
                     self.end_problem = ""  # reported when the messages are read
 
     def _read_summary(self, file: BinaryIO) -> None:
-        summary = SeekingReader(file, record_size_limit=MAX_RECORD_BYTES).get_summary()
+        summary = SeekingReader(file, record_size_limit=container.MAX_RECORD_BYTES).get_summary()
         if summary is None:
             return
         self._schemas = dict(summary.schemas)
@@ -68,13 +60,15 @@ class McapFile:
         if known is not None and known.n_messages and n_messages is not None:
             n_messages += known.n_messages
         encoding = channel.message_encoding
-        self.topics[channel.topic] = Topic(channel.topic, ros2_type(name), encoding, definition, n_messages)
+        self.topics[channel.topic] = container.Topic(
+            channel.topic, container.ros2_type(name), encoding, definition, n_messages
+        )
 
     def messages(self, topic: str, from_s: float) -> Iterator[tuple[int, float, bytes]]:
         """Number, time and content of the messages of a topic; see `Bag.messages`."""
         self.end_problem, self.n_damaged, number = "", 0, 0
         channels = {channel.id for channel in self._channels.values() if channel.topic == topic}
-        with open_regular(self.path, VideoError, EXPECTED) as file:
+        with open_regular(self.path, VideoError, container.EXPECTED) as file:
             if not self._chunks:
                 for number, message in enumerate(self._in_sequence(file, topic)):
                     yield number, message.log_time / 1e9, message.data
@@ -88,8 +82,8 @@ class McapFile:
                         for channel in channels & offsets.keys():
                             file.seek(offsets[channel] + 9 + 2)  # after operation code, length and channel
                             number += ReadDataStream(file).read4() // 16  # two numbers of 8 bytes per message
-                    elif index.chunk_length > MAX_RECORD_BYTES:
-                        raise DamagedError("chunk too large")
+                    elif index.chunk_length > container.MAX_RECORD_BYTES:
+                        raise container.DamagedError("chunk too large")
                     else:
                         file.seek(index.chunk_start_offset + 9)  # after operation code and length
                         messages = list(self._messages_in([Chunk.read(ReadDataStream(file))], topic))
@@ -103,7 +97,7 @@ class McapFile:
         """The messages of a topic in records and chunks of records; schemas and channels are collected."""
         for record in records:
             if isinstance(record, Chunk):
-                data = decompressed(record.data, record.compression, record.uncompressed_size)
+                data = container.decompressed(record.data, record.compression, record.uncompressed_size)
                 whole = replace(record, compression="", data=data)
                 yield from self._messages_in(breakup_chunk(whole, validate_crc=True), topic)
             elif isinstance(record, Schema):
@@ -119,7 +113,7 @@ class McapFile:
         """The messages of a topic from the beginning of the file to its end, or to the first damaged record."""
         file.seek(0)
         try:
-            for record in StreamReader(file, emit_chunks=True, record_size_limit=MAX_RECORD_BYTES).records:
+            for record in StreamReader(file, emit_chunks=True, record_size_limit=container.MAX_RECORD_BYTES).records:
                 yield from self._messages_in([record], topic)
                 if isinstance(record, DataEnd) or (max_bytes is not None and file.tell() > max_bytes):
                     return

@@ -16,15 +16,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from track_range.foundation.files.input_files import open_regular
-from track_range.recording.bags.container import (
-    DAMAGE,
-    EXPECTED,
-    MAX_RECORD_BYTES,
-    DamagedError,
-    Topic,
-    decompressed,
-    ros2_type,
-)
+from track_range.recording.bags import container
 from track_range.recording.frame import VideoError
 
 MAGIC = b"#ROSBAG V2.0\n"
@@ -37,13 +29,13 @@ class Ros1File:
 
     def __init__(self, path: Path) -> None:
         self.path, self.end_problem, self.n_damaged = path, "", 0
-        self.topics: dict[str, Topic] = {}
+        self.topics: dict[str, container.Topic] = {}
         self._topic_of: dict[int, str] = {}
         self._chunks: list[tuple[int, float, dict[int, int]]] = []  # place, last time in s, messages by connection
-        with open_regular(path, VideoError, EXPECTED) as file:
+        with open_regular(path, VideoError, container.EXPECTED) as file:
             try:
                 self._read_index(file)
-            except DAMAGE:
+            except container.DAMAGE:
                 self._chunks = []
             if not self._chunks:
                 self.topics, self._topic_of = {}, {}
@@ -69,17 +61,19 @@ class Ros1File:
 
     def _add_connection(self, header: dict[bytes, bytes], data: bytes) -> None:
         if header[b"op"] != _CONNECTION:
-            raise DamagedError("no connection")
+            raise container.DamagedError("no connection")
         fields, name = _fields(data), header[b"topic"].decode()
         self._topic_of[_number(header[b"conn"])] = name
-        type_name = ros2_type(fields[b"type"].decode())
-        self.topics.setdefault(name, Topic(name, type_name, "ros1", fields.get(b"message_definition", b""), None))
+        type_name = container.ros2_type(fields[b"type"].decode())
+        self.topics.setdefault(
+            name, container.Topic(name, type_name, "ros1", fields.get(b"message_definition", b""), None)
+        )
 
     def messages(self, topic: str, from_s: float) -> Iterator[tuple[int, float, bytes]]:
         """Number, time and content of the messages of a topic; see `Bag.messages`."""
         self.end_problem, self.n_damaged, number = "", 0, 0
         connections = {connection for connection, name in self._topic_of.items() if name == topic}
-        with open_regular(self.path, VideoError, EXPECTED) as file:
+        with open_regular(self.path, VideoError, container.EXPECTED) as file:
             if not self._chunks:
                 for number, (time_s, data) in enumerate(self._in_sequence(file, topic)):
                     yield number, time_s, data
@@ -92,7 +86,7 @@ class Ros1File:
                 try:
                     file.seek(offset)
                     messages = list(self._messages_in(*_record(file), topic))
-                except DAMAGE:
+                except container.DAMAGE:
                     self.n_damaged += 1
                     number += n_messages
                     continue
@@ -102,7 +96,7 @@ class Ros1File:
 
     def _messages_in(self, header: dict[bytes, bytes], data: bytes, topic: str) -> Iterator[tuple[float, bytes]]:
         """Time and content of the messages of a topic in a chunk; connections are collected."""
-        content = decompressed(data, header[b"compression"].decode(), _number(header[b"size"]))
+        content = container.decompressed(data, header[b"compression"].decode(), _number(header[b"size"]))
         records = io.BytesIO(content)
         while records.seek(0, io.SEEK_CUR) < len(content):
             fields, data = _record(records)
@@ -122,7 +116,7 @@ class Ros1File:
                     yield from self._messages_in(header, data, topic)
                 elif header[b"op"] == _CONNECTION:
                     self._add_connection(header, data)
-        except DAMAGE:
+        except container.DAMAGE:
             self.end_problem = f"the file is cut off or damaged after {file.tell() / 1e6:.1f} MB"
 
 
@@ -132,11 +126,11 @@ def _record(file: BinaryIO) -> tuple[dict[bytes, bytes], bytes]:
 
 def _block(file: BinaryIO) -> bytes:
     (length,) = struct.unpack("<I", file.read(4))
-    if length > MAX_RECORD_BYTES:
-        raise DamagedError("record too large")
+    if length > container.MAX_RECORD_BYTES:
+        raise container.DamagedError("record too large")
     block = file.read(length)
     if len(block) < length:
-        raise DamagedError("cut off")
+        raise container.DamagedError("cut off")
     return block
 
 
@@ -146,7 +140,7 @@ def _fields(header: bytes) -> dict[bytes, bytes]:
         (length,) = struct.unpack_from("<I", header, position)
         name, equals, value = header[position + 4 : position + 4 + length].partition(b"=")
         if not equals:
-            raise DamagedError("no field")
+            raise container.DamagedError("no field")
         fields[name] = value
         position += 4 + length
     return fields

@@ -23,16 +23,9 @@ from track_range.recording.pairs.video_half import VideoHalf
 from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.utc import UtcStart
 from track_range.stereo.alignment.model import MAX_ROW_OFFSET_PX, RightView
+from track_range.stereo.geometry import image_size
 from track_range.stereo.geometry.camera import PinholeCamera, pixel_aspect_of, square_size
 from track_range.stereo.geometry.frames import Frame, ImageView
-from track_range.stereo.geometry.image_size import (
-    FocalAlternative,
-    analogue_alternatives,
-    field_notes,
-    fitted_rig,
-    fitted_to_size,
-    size_alternatives,
-)
 from track_range.stereo.geometry.rectification import Rectifier, Undistorter
 from track_range.stereo.geometry.rig import Mounting, RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import RigCalibration, check_camera, check_rig
@@ -94,7 +87,7 @@ class RecordingCalibration:
     focal: FocalGuess | None = None  # estimate of a focal length that is not known exactly; None = it is
     # height, pitch and uncertainty of the focal length of a camera that was calibrated from the road; None = unknown
     mounting: Mounting | None = None
-    alternatives: tuple[FocalAlternative, ...] = ()  # other readings of the calibration or focal length
+    alternatives: tuple[image_size.FocalAlternative, ...] = ()  # other readings of the calibration or focal length
     pixel_aspect: float = 1.0  # width / height of the recorded pixels, by the video
 
     @property
@@ -322,7 +315,7 @@ def _without_file(
             "--rig with both of them."
         )
     stored = camera.resized(sizes_px[0])
-    others = () if video.pixel_aspect is not None else analogue_alternatives(sizes_px[0])
+    others = () if video.pixel_aspect is not None else image_size.analogue_alternatives(sizes_px[0])
     doubt = (
         f"{video.path}: pixel aspect of analogue video not stated: {', '.join(other.cause for other in others)}. "
         "Pixels are taken as square, and sigma covers it; state the shape: ffmpeg -i IN -c copy -aspect 4:3 OUT.mp4."
@@ -337,7 +330,7 @@ def _without_file(
         focal=None if is_exact else guess,
         alternatives=others,
         pixel_aspect=aspect,
-        file_notes=(*field_notes(camera, source), *([doubt] if others else [])),
+        file_notes=(*image_size.field_notes(camera, source), *([doubt] if others else [])),
     )
 
 
@@ -364,7 +357,7 @@ def _loaded(
         _of_cameras(cameras, path, notes, sizes_px, view),
         mounting=content.mounting if len(sizes_px) == 1 else None,
         left_from_reference_m=np.array(content.left_from_reference_m),
-        alternatives=size_alternatives(content.left, fitted_px[0]),
+        alternatives=image_size.size_alternatives(content.left, fitted_px[0]),
     )
 
 
@@ -393,15 +386,15 @@ def _of_models(
     fitted: StereoRig | PinholeCamera
     fitted_px = _sizes_of(left, sizes_px, aspect)
     if len(sizes_px) == 1:
-        fitted, notes = fitted_to_size(left, fitted_px[0], source)
+        fitted, notes = image_size.fitted_to_size(left, fitted_px[0], source)
         check_camera(fitted, source)
     elif isinstance(given, PinholeCamera):
         raise RigError(f"{source}: expected a rig of two cameras, found one camera.")
     else:
         check_rig(given, source)
-        fitted, notes = fitted_rig(given, (fitted_px[0], fitted_px[1]), source)
+        fitted, notes = image_size.fitted_rig(given, (fitted_px[0], fitted_px[1]), source)
     loaded = _of_cameras(fitted, path, notes, sizes_px, view)
-    return replace(loaded, alternatives=size_alternatives(left, fitted_px[0]))
+    return replace(loaded, alternatives=image_size.size_alternatives(left, fitted_px[0]))
 
 
 def _of_cameras(

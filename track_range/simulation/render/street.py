@@ -17,13 +17,7 @@ from track_range.foundation.arrays import FloatArray, Image, IntArray
 from track_range.simulation.render.face_table import FaceTable, TextureStore, joined_tables, unlabelled_faces
 from track_range.simulation.world.road_shape import STRAIGHT, RoadShape
 from track_range.simulation.world.surroundings import PERIOD_M, SURROUNDINGS, Row, Surroundings
-from track_range.simulation.world.textures.scenery import (
-    ground_picture,
-    houses_picture,
-    rail_picture,
-    tree_picture,
-    woods_picture,
-)
+from track_range.simulation.world.textures import scenery
 from track_range.simulation.world.textures.surfaces import plain, value_noise
 
 FAR_M = 260.0  # distance up to which the street is drawn
@@ -41,15 +35,15 @@ class Street:
     ) -> None:
         self._road_type, self._road, self._store = SURROUNDINGS[surroundings], road, store
         self._stretches_m = STRETCHES_M if road.is_straight else WINDING_STRETCHES_M
-        side_picture = houses_picture if self._road_type.side == "houses" else woods_picture
+        side_picture = scenery.houses_picture if self._road_type.side == "houses" else scenery.woods_picture
         left, right = (side_picture(rng, height_m=SIDE_HEIGHT_M) for _ in range(2))
         self._strips = [
-            self._textures(ground_picture(rng, self._road_type)[::-1], axis=0, is_far_first=True),
+            self._textures(scenery.ground_picture(rng, self._road_type)[::-1], axis=0, is_far_first=True),
             self._textures(left, axis=1, is_far_first=False),
             self._textures(right[:, ::-1], axis=1, is_far_first=True),
         ]
         if rails_m := self._road_type.rails_m:
-            self._strips += [self._textures(rail_picture(rng), axis=1, is_far_first=False)] * len(rails_m)
+            self._strips += [self._textures(scenery.rail_picture(rng), axis=1, is_far_first=False)] * len(rails_m)
         self.roadside = Roadside(rng, store, self._road_type, road)
 
     def _textures(self, picture: Image, *, axis: int, is_far_first: bool) -> _Textures:
@@ -128,7 +122,7 @@ class Roadside:
     def __init__(self, rng: np.random.Generator, store: TextureStore, road_type: Surroundings, road: RoadShape) -> None:
         self._rows, self._road = road_type.rows, road
         has_trees = any(row.kind == "tree" for row in self._rows)
-        trees = [tree_picture(rng) for _ in range(N_TREES)] if has_trees else []
+        trees = [scenery.tree_picture(rng) for _ in range(N_TREES)] if has_trees else []
         lamp, post = _lamp_picture(rng), _post_picture(rng)
         pictures = {"tree": trees, "lamp": [lamp[:, ::-1], lamp], "post": [post]}
         self._shade = store.add(_leaf_shadow())

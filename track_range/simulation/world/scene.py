@@ -18,17 +18,8 @@ from typing import Literal
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
+from track_range.simulation.world import road_shape
 from track_range.simulation.world.motion import LaneChange, SpeedChanges, Time, speed_at_mps, travelled_m
-from track_range.simulation.world.road_shape import (
-    STEADY,
-    STRAIGHT,
-    CameraPose,
-    RoadShape,
-    Wobble,
-    pose_on_road,
-    slope_rotation,
-    yaw_rotation,
-)
 
 AWAY_RAD = -np.pi / 2  # heading along z: seen from behind
 TOWARDS_RAD = np.pi / 2  # heading against z: oncoming
@@ -106,8 +97,8 @@ class Scene:
     ego_speed_changes: SpeedChanges = ()  # (time, speed) pairs, used instead of `ego_speed_mps`; empty = constant speed
     camera_height_m: float = 1.65  # height of the left camera above the road
     camera_pitch_rad: float = 0.0  # pitch of the left camera relative to the ego car, positive = up
-    road: RoadShape = STRAIGHT
-    wobble: Wobble = STEADY
+    road: road_shape.RoadShape = road_shape.STRAIGHT
+    wobble: road_shape.Wobble = road_shape.STEADY
     surroundings: str = "town"  # a key of `surroundings.SURROUNDINGS`
     is_night: bool = False  # whether headlights and lamps light the scene instead of the sun
     obstacles: tuple[Obstacle, ...] = ()
@@ -135,12 +126,12 @@ class Scene:
         along_z_mps = speed_at_mps(self.ego_speed_changes or ((0.0, self.ego_speed_mps),), time_s)
         return along_z_mps * self.road.stretch(self.ego_z_m(time_s))
 
-    def pose(self, time_s: float) -> CameraPose:
+    def pose(self, time_s: float) -> road_shape.CameraPose:
         """Pose of the left camera at a time."""
         pitch_rad, roll_rad = self.wobble.pitch_roll_rad(time_s)
         pitch_roll_rad = (pitch_rad + self.camera_pitch_rad, roll_rad)
         z_m = self.ego_z_m(time_s)
-        return pose_on_road(self.road, z_m, height_m=self.camera_height_m, pitch_roll_rad=pitch_roll_rad)
+        return road_shape.pose_on_road(self.road, z_m, height_m=self.camera_height_m, pitch_roll_rad=pitch_roll_rad)
 
     def location_m(self, time_s: float) -> FloatArray:
         """(N, 3) bottom centres of the 3-D boxes in the left camera's frame at a time."""
@@ -177,8 +168,10 @@ class Scene:
         return np.asarray((world - pose.position_m) @ pose.camera_from_world.T)
 
     def _rotations(self, time_s: float, z_m: FloatArray, headings_rad: FloatArray) -> FloatArray:
-        level = yaw_rotation(headings_rad + self.road.yaw_rad(z_m))
-        return np.asarray(self.pose(time_s).camera_from_world @ slope_rotation(self.road.climb_rad(z_m)) @ level)
+        level = road_shape.yaw_rotation(headings_rad + self.road.yaw_rad(z_m))
+        return np.asarray(
+            self.pose(time_s).camera_from_world @ road_shape.slope_rotation(self.road.climb_rad(z_m)) @ level
+        )
 
     def _headings_rad(self, time_s: float) -> FloatArray:
         return np.array([user.heading_rad(time_s) for user in self.road_users], np.float64)

@@ -24,17 +24,8 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rectification import Rectifier, Undistorter
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.sgbm import disparity_picture, inner_halves
+from track_range.views.overlay import labels
 from track_range.views.overlay.birds_eye import BirdsEye
-from track_range.views.overlay.labels import (
-    BOLD,
-    REGULAR,
-    LabelPlacer,
-    Span,
-    TextRenderer,
-    corner_lines,
-    label_lines,
-    text_sizes_px,
-)
 
 Status = Callable[[], Sequence[str]]  # returns short texts on the state of the run, such as the frame rate
 MOST_LABELS = 100  # maximum number of labels per frame; in a crowd only the nearest tracks are labelled
@@ -68,9 +59,9 @@ class Overlay:
         self.class_names = tuple(class_names)
         self._recorded = recorded
         self._status, self._warning = status, warning
-        self._text = TextRenderer()
+        self._text = labels.TextRenderer()
         self._inset = BirdsEye(camera)
-        self._placer = LabelPlacer()
+        self._placer = labels.LabelPlacer()
 
     def draw(self, result: FrameResult) -> Image:
         """A new (H, W, 3) uint8 BGR image: the left frame, or the recorded one, with its tracks drawn on it.
@@ -79,7 +70,7 @@ class Overlay:
         """
         view = self._recorded
         canvas = (result.frame.left if view is None or result.frame.recorded is None else result.frame.recorded).copy()
-        line_px = text_sizes_px((canvas.shape[1], canvas.shape[0]))[2]
+        line_px = labels.text_sizes_px((canvas.shape[1], canvas.shape[0]))[2]
         boxes = result.tracks.xyxy_px if view is None else view.recorded_boxes(result.tracks.xyxy_px)
         valid = np.flatnonzero(np.isfinite(boxes).all(axis=1))
         colours = [track_colour(track_id) for track_id in result.tracks.track_id.tolist()]
@@ -105,14 +96,14 @@ class Overlay:
         self, canvas: Image, result: FrameResult, boxes: FloatArray, rows: Sequence[int], colours: Sequence[Bgr]
     ) -> None:
         image_px = (canvas.shape[1], canvas.shape[0])
-        *sizes_px, line_px = text_sizes_px(image_px)
+        *sizes_px, line_px = labels.text_sizes_px(image_px)
         occupied = self._draw_corners(canvas, result, sizes_px[1])
         full, short, urgent = [], [], []
         for row in rows:
-            lines = label_lines(result, row, class_names=self.class_names, sizes_px=(sizes_px[0], sizes_px[1]))
+            lines = labels.label_lines(result, row, class_names=self.class_names, sizes_px=(sizes_px[0], sizes_px[1]))
             full.append(lines)
             short.append(lines[:1])
-            urgent.append(lines[-1][0].weight == BOLD and lines[-1][0].fill is not None)
+            urgent.append(lines[-1][0].weight == labels.BOLD and lines[-1][0].fill is not None)
         placements = self._placer.place(
             result.tracks.track_id[rows].tolist(),
             boxes[rows],
@@ -131,7 +122,7 @@ class Overlay:
 
     def _draw_corners(self, canvas: Image, result: FrameResult, size_px: int) -> FloatArray:
         """Draw the texts of the corners that have room; (1 to 3, 4) rectangles of these and of the inset, in pixels."""
-        corners = corner_lines(result, size_px, status=self._status(), warning=self._warning)
+        corners = labels.corner_lines(result, size_px, status=self._status(), warning=self._warning)
         (w, h), (legend_w, legend_h) = self._text.sizes_px(corners).tolist()
         height, width = canvas.shape[:2]
         places = np.array([[0, 0, w, h], [width - legend_w, 0, width, legend_h]])
@@ -224,7 +215,7 @@ class DisparityPicture:
 
     def __init__(self, rig: StereoRig) -> None:
         self._focal_baseline_px_m = rig.left.fx_px * rig.baseline_m
-        self._text = TextRenderer()
+        self._text = labels.TextRenderer()
 
     def draw(self, result: FrameResult) -> Image:
         """Colour-coded disparities, (H, W, 3) uint8 BGR; black if dense stereo did not run."""
@@ -247,12 +238,15 @@ class DisparityPicture:
         return canvas
 
     def _draw_scale(self, canvas: Image) -> None:
-        size_px = text_sizes_px((canvas.shape[1], canvas.shape[0]))[1]
+        size_px = labels.text_sizes_px((canvas.shape[1], canvas.shape[0]))[1]
         level = np.rint(255 * REDDEST_M / np.array(SCALE_M)).astype(np.uint8)
         swatches = cv2.applyColorMap(level[:, None], cv2.COLORMAP_TURBO)[:, 0].tolist()
-        line = [Span("dense stereo, m", size_px, BOLD, WHITE)]
+        line = [labels.Span("dense stereo, m", size_px, labels.BOLD, WHITE)]
         for metres, (blue, green, red) in zip(SCALE_M, swatches, strict=True):
-            line += [Span("■■", size_px, BOLD, (blue, green, red)), Span(str(metres), size_px, REGULAR, GREY)]
+            line += [
+                labels.Span("■■", size_px, labels.BOLD, (blue, green, red)),
+                labels.Span(str(metres), size_px, labels.REGULAR, GREY),
+            ]
         width, height = self._text.sizes_px([[line]])[0]
         corner: FloatArray = np.array(canvas.shape[1::-1], np.float64)
         if width <= corner[0]:

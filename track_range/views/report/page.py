@@ -29,31 +29,12 @@ from track_range.pipeline.colours import colour_of_each
 from track_range.results.columns import Columns, methods_measured
 from track_range.results.events.event import Event, is_clip_name
 from track_range.results.formats.poses_file import Poses
-from track_range.views.report import tables
-from track_range.views.report.comparison import (
-    ComparedRun,
-    comparison_grids,
-    comparison_notes,
-    error_lines,
-    event_grids,
-    event_sentence,
-    settings_grid,
-)
+from track_range.views.report import comparison, sentences, tables
 from track_range.views.report.content.drive_map import drive_map
 from track_range.views.report.content.errors import calibration_curves, error_curves
 from track_range.views.report.content.events import clips_of, event_records, hidden_events_note, shown_events
 from track_range.views.report.content.road import box_columns, camera_of_rows, road_columns, uncalibrated_video
 from track_range.views.report.content.series import timeline, track_records
-from track_range.views.report.sentences import (
-    address,
-    cards,
-    geometry_sentences,
-    headlines,
-    run_line,
-    run_name,
-    settings_groups,
-    sigma_sentences,
-)
 from track_range.views.report.tables import accuracy_grids, mot_grid, speed_grids, stage_bars
 
 _SCRIPTS = (  # in the order of their execution
@@ -83,11 +64,11 @@ def write_report(
         if clips is not None:
             names = [entry.name for entry in clips.iterdir() if is_clip_name(entry.name)]
             start = Path(os.path.relpath(real_path(clips), real_path(path.parent))).as_posix()
-            addresses = {name: address(f"{start}/{name}") for name in names}
+            addresses = {name: sentences.address(f"{start}/{name}") for name in names}
     _write_page(path, report_page(summary, columns, events, clips=addresses, poses=poses))
 
 
-def write_comparison(path: Path, runs: Sequence[ComparedRun]) -> None:
+def write_comparison(path: Path, runs: Sequence[comparison.ComparedRun]) -> None:
     """Write the page that compares several runs, atomically; OutputError if the file cannot be written."""
     _write_page(path, comparison_page(runs))
 
@@ -112,7 +93,7 @@ def report_page(
     shown = None if events is None else shown_events(events)
     content = {**run_content(summary, columns, shown or ()), "map": drive_map(columns, poses)}
     accuracy, mot = accuracy_grids(summary), mot_grid(tracks)
-    speed, geometry = speed_grids(summary), geometry_sentences(summary)
+    speed, geometry = speed_grids(summary), sentences.geometry_sentences(summary)
     curve = packaged_curve() if content["has_warnings"] else None
     sections = {
         "overview": "Overview",
@@ -130,16 +111,16 @@ def report_page(
     span_s = content["timeline"]["to_s"] - content["timeline"]["from_s"]
     return rendered(
         "report.html.j2",
-        title=run_name(summary),
-        subtitle=run_line(summary, columns, span_s),
+        title=sentences.run_name(summary),
+        subtitle=sentences.run_line(summary, columns, span_s),
         sections={anchor: name for anchor, name in sections.items() if name},
-        headlines=headlines(columns, events),
+        headlines=sentences.headlines(columns, events),
         events=None if shown is None else event_records(shown, clips_of(events or (), shown, clips or {})),
         events_note=hidden_events_note(events or (), shown or ()),
         has_road=any("x" in track for track in content["tracks"]),
-        cards=list(cards(summary)),
+        cards=list(sentences.cards(summary)),
         notes=summary.get("notes") or [],
-        video=address(str(overlay)) if overlay else None,
+        video=sentences.address(str(overlay)) if overlay else None,
         has_known_distances=content["known_distances"] is not None and bool(content["tracks"]),
         truth=summary.get("truth"),
         accuracy=accuracy,
@@ -147,28 +128,31 @@ def report_page(
         stages=stage_bars(summary),
         mot=mot,
         mot_classes=tracks.get("classes") or [],
-        sigma_sentences=sigma_sentences(summary),
+        sigma_sentences=sentences.sigma_sentences(summary),
         geometry=geometry,
         rig=tables.rig_grid((summary.get("alignment") or {}).get("health") or {}),
         curve=None if curve is None else curve_figure(curve),
         n_tracks=len(np.unique(columns["track_id"])),
-        settings=list(settings_groups(summary)),
+        settings=list(sentences.settings_groups(summary)),
         content=embedded(content),
     )
 
 
-def comparison_page(runs: Sequence[ComparedRun]) -> str:
+def comparison_page(runs: Sequence[comparison.ComparedRun]) -> str:
     """HTML of the page that compares several runs."""
-    lines = error_lines(runs)
+    lines = comparison.error_lines(runs)
     return rendered(
         "comparison.html.j2",
         title=f"Comparison of {len(runs)} runs",
-        runs=[{"name": run.name, "link": address(run.link) if run.link else None, "notes": run.notes} for run in runs],
-        notes=comparison_notes(runs),
-        event_grids=event_grids(runs),
-        event_sentence=event_sentence(runs),
-        grids=comparison_grids(runs),
-        settings=settings_grid(runs),
+        runs=[
+            {"name": run.name, "link": sentences.address(run.link) if run.link else None, "notes": run.notes}
+            for run in runs
+        ],
+        notes=comparison.comparison_notes(runs),
+        event_grids=comparison.event_grids(runs),
+        event_sentence=comparison.event_sentence(runs),
+        grids=comparison.comparison_grids(runs),
+        settings=comparison.settings_grid(runs),
         has_errors=bool(lines),
         content=embedded({"lines": lines}),
     )

@@ -6,13 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from track_range.cli.commands.evaluate.result_files import (
-    JsonField,
-    RiskFigureField,
-    check_result_files,
-    draw_risk,
-    risk_grids,
-)
+from track_range.cli.commands.evaluate import result_files
 from track_range.cli.console import console, print_grid, print_notes
 from track_range.cli.parameters import command
 from track_range.foundation.files.output_files import write_json, write_text
@@ -26,18 +20,18 @@ class RangesOptions(RangeEvaluationSettings):
     """Options of `track-range evaluate ranges`."""
 
     table: Annotated[Path | None, option("Markdown file for the tables.", metavar="FILE.md")] = None
-    figure: RiskFigureField = None
-    json_file: JsonField = None
+    figure: result_files.RiskFigureField = None
+    json_file: result_files.JsonField = None
 
 
 def _ranges(options: RangesOptions) -> None:
-    check_result_files(options)
+    result_files.check_result_files(options)
     figures = evaluate_ranges(options)
     curves = _curves(figures)
-    grids = [*_grids(figures), *_literature_grids(figures), *(risk_grids(curves) if curves else ())]
+    grids = [*_grids(figures), *_literature_grids(figures), *(result_files.risk_grids(curves) if curves else ())]
     print_grid(console, *grids)
     print_notes(console, figures["notes"])
-    draw_risk(curves, options.figure)
+    result_files.draw_risk(curves, options.figure)
     write_json(options.json_file, figures)
     if options.table is not None:
         notes = "\n".join(f"- {note}" for note in figures["notes"])

@@ -7,13 +7,7 @@ from functools import partial
 from typing import Any
 
 from track_range.calibration.settings import StereoEvaluationSettings
-from track_range.cli.commands.evaluate.result_files import (
-    JsonField,
-    RiskFigureField,
-    check_result_files,
-    draw_risk,
-    risk_grids,
-)
+from track_range.cli.commands.evaluate import result_files
 from track_range.cli.console import console, print_grid, print_line
 from track_range.cli.parameters import command
 from track_range.evaluation.stereo_evaluation import evaluate_stereo
@@ -26,16 +20,16 @@ from track_range.views.report import tables
 class StereoOptions(StereoEvaluationSettings):
     """Options of `track-range evaluate stereo`."""
 
-    json_file: JsonField = None
-    figure: RiskFigureField = None
+    json_file: result_files.JsonField = None
+    figure: result_files.RiskFigureField = None
 
 
 def _stereo(options: StereoOptions) -> None:
-    check_result_files(options)
+    result_files.check_result_files(options)
     with one_opencv_thread():  # for comparable times per frame
         figures = evaluate_stereo(options, partial(step_progress, console))
     _print(figures)
-    draw_risk(_curves(figures), options.figure)
+    result_files.draw_risk(_curves(figures), options.figure)
     write_json(options.json_file, figures)
 
 
@@ -71,7 +65,7 @@ def _print(figures: Mapping[str, Any]) -> None:
         n_common = next(iter(common.values()))["n"]
         title = f"On common coverage ({n_common} objects measured by all matchers)"
         print_grid(console, _grid(title, common, _COLUMNS[1:]))
-    print_grid(console, *risk_grids(_curves(figures)))
+    print_grid(console, *result_files.risk_grids(_curves(figures)))
     print_line(console, *figures["notes"])
 
 

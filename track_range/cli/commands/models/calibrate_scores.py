@@ -13,17 +13,9 @@ from track_range.cli.console import console, print_grid, print_line, print_notes
 from track_range.cli.parameters import command
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
+from track_range.detection.evaluation import score_fit
 from track_range.detection.evaluation.calibrated_copy import check_attributes, score_outputs, write_calibrated_copy
 from track_range.detection.evaluation.score_calibration import MIN_SCORE, Reliability
-from track_range.detection.evaluation.score_fit import (
-    LOWEST_SCORE,
-    MIN_POSITIVES,
-    ScoreFit,
-    ScoreSamples,
-    cross_validated,
-    fit_scores,
-    reliability,
-)
 from track_range.detection.formats.image_labels.image_truth import ImageTruth
 from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.yolo.detector import YoloDetector
@@ -68,7 +60,9 @@ def _calibrate_scores(options: CalibrateScoresOptions) -> None:
     check_result_files(options)
     path = ready_model(options.model, console)
     check_attributes(path, options.out)
-    detector = open_detector(path, replace(DetectorOptions.of(options), device="cpu", min_score=str(LOWEST_SCORE)))
+    detector = open_detector(
+        path, replace(DetectorOptions.of(options), device="cpu", min_score=str(score_fit.LOWEST_SCORE))
+    )
     score_outputs(detector)
     frames = LabelledSource.of(options).open()
     detections: list[Detections] = []
@@ -78,28 +72,28 @@ def _calibrate_scores(options: CalibrateScoresOptions) -> None:
             detections.append(detector.detect(image))
             truth.append(labels)
             advance()
-    samples = ScoreSamples.of(detections, truth, detector.known_class_id)
-    fit = fit_scores(samples)
+    samples = score_fit.ScoreSamples.of(detections, truth, detector.known_class_id)
+    fit = score_fit.fit_scores(samples)
     if fit is None:
         unreadable = f" ({counted(len(frames.unreadable), 'image')} cannot be read)" if frames.unreadable else ""
         raise ModelError(
-            f"{options.images}: expected at least {MIN_POSITIVES} detections that match a label, and some that do not, "
-            f"got {np.count_nonzero(samples.is_match)} and {np.count_nonzero(~samples.is_match)}{unreadable}; give "
-            "more images with labels of classes that the detector knows."
+            f"{options.images}: expected at least {score_fit.MIN_POSITIVES} detections that match a label, and some "
+            f"that do not, got {np.count_nonzero(samples.is_match)} and {np.count_nonzero(~samples.is_match)}"
+            f"{unreadable}; give more images with labels of classes that the detector knows."
         )
     write_calibrated_copy(detector, fit, options.out, images=options.images)
-    before = reliability(samples.score, samples.is_match)
-    after = cross_validated(detections, truth, detector.known_class_id)
+    before = score_fit.reliability(samples.score, samples.is_match)
+    after = score_fit.cross_validated(detections, truth, detector.known_class_id)
     print_grid(console, _coefficient_grid(fit, detector), _error_grid(before, after))
     validation = (
         "Cross-validated: fitted to one half of the images, measured on the other one; the file has the fit to all."
         if after
-        else f"Not cross-validated: half of the images have fewer than {MIN_POSITIVES} matches."
+        else f"Not cross-validated: half of the images have fewer than {score_fit.MIN_POSITIVES} matches."
     )
     print_notes(
         console,
         [
-            f"{len(truth)} images. Classes with fewer than {MIN_POSITIVES} matches share their coefficients.",
+            f"{len(truth)} images. Classes with fewer than {score_fit.MIN_POSITIVES} matches share their coefficients.",
             f"ECE of boxes with a score of {MIN_SCORE} or more: mean difference between score and precision; chance: "
             f"that of perfect scores. {validation}",
             *(f"{counted(len(frames.unreadable), 'image')} skipped, the first: {one}" for one in frames.unreadable[:1]),
@@ -115,7 +109,7 @@ def _calibrate_scores(options: CalibrateScoresOptions) -> None:
     write_json(options.json_file, figures, allow_nan=True)
 
 
-def _coefficient_grid(fit: ScoreFit, detector: YoloDetector) -> Grid:
+def _coefficient_grid(fit: score_fit.ScoreFit, detector: YoloDetector) -> Grid:
     ids = [i for i in range(len(ROAD_CLASSES)) if i in detector.known_class_id]
     columns = [
         Column("matches", fit.n_positives[ids].tolist(), "{:.0f}"),

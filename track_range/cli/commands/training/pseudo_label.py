@@ -13,14 +13,8 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.evaluation.score_calibration import Reliability
 from track_range.detection.models.onnx_session import Runtime
 from track_range.detection.training.data.data_yaml import OwnLabels, read_own_labels
+from track_range.detection.training.ensemble import data_set
 from track_range.detection.training.ensemble.calibration import MIN_POSITIVES
-from track_range.detection.training.ensemble.data_set import (
-    COUNTED_PROBABILITIES,
-    DETECTIONS,
-    PseudoLabelFigures,
-    label_training_images,
-    usable_classes,
-)
 from track_range.detection.training.ensemble.views import EnsembleMember, store_missing
 from track_range.detection.training.errors import TrainingError
 from track_range.foundation.files.input_files import counted, real_path
@@ -37,9 +31,9 @@ def _pseudo_label(options: PseudoLabelOptions) -> None:
     _check_folder(options, data)
     runtime = Runtime(device=options.device, n_threads=options.threads)
     paths = dict.fromkeys(ready_model(name, console) for name in options.models)
-    stored = options.out / DETECTIONS
+    stored = options.out / data_set.DETECTIONS
     members = [EnsembleMember(path, stored, size_px=options.size_px, runtime=runtime) for path in paths]
-    usable_classes(data, members)
+    data_set.usable_classes(data, members)
     _print_plan(data, members)
     with locked_output(options.out), stop_on_interrupt():
         try:
@@ -47,7 +41,7 @@ def _pseudo_label(options: PseudoLabelOptions) -> None:
             with step_progress(console, "detection") as progress:
                 unreadable = store_missing(data.image_files, members, progress)
             with step_progress(console, "fusion") as progress:
-                outcome = label_training_images(
+                outcome = data_set.label_training_images(
                     data,
                     members,
                     options.out,
@@ -74,7 +68,7 @@ def _check_folder(options: PseudoLabelOptions, data: OwnLabels) -> None:
     """OutputError if the output folder has other files than those of a run of `data` that is to be resumed."""
     if options.out.exists() and not options.out.is_dir():
         raise OutputError(f"{options.out}: expected a folder, found a file; choose another --out.")
-    is_started = (options.out / DETECTIONS).is_dir()
+    is_started = (options.out / data_set.DETECTIONS).is_dir()
     if options.resume and not is_started:
         raise OutputError(f"{options.out}: expected an interrupted run to resume, found none; omit --resume.")
     if is_started and not options.resume:
@@ -112,7 +106,7 @@ def _print_plan(data: OwnLabels, members: list[EnsembleMember]) -> None:
     print_notes(console, notes)
 
 
-def _print_outcome(outcome: PseudoLabelFigures, members: list[EnsembleMember]) -> None:
+def _print_outcome(outcome: data_set.PseudoLabelFigures, members: list[EnsembleMember]) -> None:
     print_grid(console, _label_grid(outcome))
     others = [ROAD_CLASSES[i] for i in outcome.known_class_id if not outcome.calibration.n_positives[i]]
     if others:
@@ -127,13 +121,13 @@ def _print_outcome(outcome: PseudoLabelFigures, members: list[EnsembleMember]) -
     print_notes(console, [note for member in members for note in member.notes if "dropped" in note])
 
 
-def _label_grid(outcome: PseudoLabelFigures) -> Grid:
+def _label_grid(outcome: data_set.PseudoLabelFigures) -> Grid:
     rows = outcome.known_class_id
     fitted = [int(n) or None for n in outcome.calibration.n_positives[rows]]
     columns = [Column("fitted to", fitted, "{:.0f}")]
     columns += [
         Column(f"p >= {minimum}", outcome.n_labels[rows, i].tolist(), "{:.0f}")
-        for i, minimum in enumerate(COUNTED_PROBABILITIES)
+        for i, minimum in enumerate(data_set.COUNTED_PROBABILITIES)
     ]
     columns.append(Column("ignored", outcome.n_ignored[rows].tolist(), "{:.0f}"))
     return grid_of("Pseudo-labels by class and minimum probability", "class", [ROAD_CLASSES[i] for i in rows], columns)

@@ -14,6 +14,7 @@ from foxglove import messages as fox
 from foxglove.messages import Timestamp
 
 from track_range.ranging.world.ego_path import EgoPose
+from track_range.results.formats import scene
 from track_range.results.formats.mcap import (
     ANNOTATIONS,
     NANOSECONDS,
@@ -22,15 +23,6 @@ from track_range.results.formats.mcap import (
     TRANSFORMS,
     Message,
     calibration_matrices,
-)
-from track_range.results.formats.scene import (
-    CAMERA_FRAME,
-    FIGURES,
-    MAP_FRAME,
-    VEHICLE_FRAME,
-    VEHICLE_FROM_CAMERA_XYZW,
-    TrackObject,
-    map_from_vehicle,
 )
 from track_range.stereo.geometry.camera import PinholeCamera
 
@@ -47,7 +39,7 @@ _MESSAGES: Mapping[str, Any] = {
     LOG: fox.Log,
 }
 
-_TRACK_TYPES = {"id": "integer", "class": "string", "observed": "boolean", **dict.fromkeys(FIGURES, "number")}
+_TRACK_TYPES = {"id": "integer", "class": "string", "observed": "boolean", **dict.fromkeys(scene.FIGURES, "number")}
 
 _RANGES_SCHEMA = {
     "type": "object",
@@ -80,7 +72,9 @@ class FoxgloveProfile:
         schema = _MESSAGES[topic].get_schema()
         return schema.name, schema.encoding, schema.data, "protobuf"
 
-    def frame(self, objects: Sequence[TrackObject], time_ns: int, pose: EgoPose | None = None) -> Iterator[Message]:
+    def frame(
+        self, objects: Sequence[scene.TrackObject], time_ns: int, pose: EgoPose | None = None
+    ) -> Iterator[Message]:
         """Messages of a frame, without its image."""
         time = _timestamp(time_ns)
         yield (CALIBRATION, self._calibration(time))
@@ -92,7 +86,9 @@ class FoxgloveProfile:
 
     def image(self, jpeg: bytes, time_ns: int) -> Message:
         """Message of an image."""
-        image = fox.CompressedImage(timestamp=_timestamp(time_ns), frame_id=CAMERA_FRAME, data=jpeg, format="jpeg")
+        image = fox.CompressedImage(
+            timestamp=_timestamp(time_ns), frame_id=scene.CAMERA_FRAME, data=jpeg, format="jpeg"
+        )
         return (IMAGE, image.encode())
 
     def note(self, text: str, time_ns: int) -> Message:
@@ -104,7 +100,7 @@ class FoxgloveProfile:
         k, r, p = self._matrices
         return fox.CameraCalibration(
             timestamp=time,
-            frame_id=CAMERA_FRAME,
+            frame_id=scene.CAMERA_FRAME,
             width=self._camera.width_px,
             height=self._camera.height_px,
             distortion_model="",
@@ -114,7 +110,7 @@ class FoxgloveProfile:
             P=p,
         ).encode()
 
-    def _scene(self, objects: Sequence[TrackObject], time: Timestamp) -> bytes:
+    def _scene(self, objects: Sequence[scene.TrackObject], time: Timestamp) -> bytes:
         """The cuboids of the ranged tracks; those of other tracks that were shown before are deleted."""
         ranged = [shown for shown in objects if shown.is_ranged]
         gone = self._shown - {shown.track_id for shown in ranged}
@@ -137,8 +133,8 @@ def _colour(rgb: tuple[int, int, int], alpha: float) -> fox.Color:
 
 def _transforms(time: Timestamp, pose: EgoPose | None) -> bytes:
     parts = (
-        (MAP_FRAME, VEHICLE_FRAME, *map_from_vehicle(pose)),
-        (VEHICLE_FRAME, CAMERA_FRAME, (0.0, 0.0, 0.0), VEHICLE_FROM_CAMERA_XYZW),
+        (scene.MAP_FRAME, scene.VEHICLE_FRAME, *scene.map_from_vehicle(pose)),
+        (scene.VEHICLE_FRAME, scene.CAMERA_FRAME, (0.0, 0.0, 0.0), scene.VEHICLE_FROM_CAMERA_XYZW),
     )
     transforms = [
         fox.FrameTransform(
@@ -153,7 +149,7 @@ def _transforms(time: Timestamp, pose: EgoPose | None) -> bytes:
     return fox.FrameTransforms(transforms=transforms).encode()
 
 
-def _annotations(objects: Sequence[TrackObject], time: Timestamp) -> bytes:
+def _annotations(objects: Sequence[scene.TrackObject], time: Timestamp) -> bytes:
     points, texts = [], []
     for shown in objects:
         x1, y1, x2, y2 = (value + _CORNER_PX for value in shown.xyxy_px)
@@ -181,20 +177,20 @@ def _annotations(objects: Sequence[TrackObject], time: Timestamp) -> bytes:
     return fox.ImageAnnotations(timestamp=time, points=points, texts=texts).encode()
 
 
-def _metadata(shown: TrackObject) -> list[fox.KeyValuePair]:
+def _metadata(shown: scene.TrackObject) -> list[fox.KeyValuePair]:
     figures = {name: f"{value:.3f}" for name, value in shown.figures.items()}
     observed = "true" if shown.is_observed else "false"
     values = {"track_id": str(shown.track_id), "class": shown.class_name, "observed": observed, **figures}
     return [fox.KeyValuePair(key=key, value=value) for key, value in values.items()]
 
 
-def _entity(shown: TrackObject, time: Timestamp) -> fox.SceneEntity:
+def _entity(shown: scene.TrackObject, time: Timestamp) -> fox.SceneEntity:
     x, y, z = shown.centre_m
     width, height, length = shown.size_m
     upright = fox.Quaternion(w=1.0)
     return fox.SceneEntity(
         timestamp=time,
-        frame_id=CAMERA_FRAME,
+        frame_id=scene.CAMERA_FRAME,
         id=f"track {shown.track_id}",
         metadata=_metadata(shown),
         cubes=[

@@ -14,6 +14,7 @@ import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from track_range.ranging.world.ego_path import EgoPose
+from track_range.results.formats import scene
 from track_range.results.formats.mcap import (
     DETECTIONS_2D,
     DETECTIONS_3D,
@@ -22,14 +23,6 @@ from track_range.results.formats.mcap import (
     TRANSFORMS,
     Message,
     calibration_matrices,
-)
-from track_range.results.formats.scene import (
-    CAMERA_FRAME,
-    MAP_FRAME,
-    VEHICLE_FRAME,
-    VEHICLE_FROM_CAMERA_XYZW,
-    TrackObject,
-    map_from_vehicle,
 )
 from track_range.stereo.geometry.camera import PinholeCamera
 
@@ -81,14 +74,16 @@ class Ros2Profile:
         text, _ = self._store.generate_msgdef(_TYPES[topic], ros_version=2)
         return _TYPES[topic], "ros2msg", text.encode(), "cdr"
 
-    def frame(self, objects: Sequence[TrackObject], time_ns: int, pose: EgoPose | None = None) -> Iterator[Message]:
+    def frame(
+        self, objects: Sequence[scene.TrackObject], time_ns: int, pose: EgoPose | None = None
+    ) -> Iterator[Message]:
         """Messages of a frame, without its image."""
         header = self._header(time_ns)
         yield self._message(CALIBRATION, header=header, **self._calibration())
-        camera = (0.0, 0.0, 0.0), VEHICLE_FROM_CAMERA_XYZW
+        camera = (0.0, 0.0, 0.0), scene.VEHICLE_FROM_CAMERA_XYZW
         transforms = [
-            self._transform(time_ns, MAP_FRAME, VEHICLE_FRAME, *map_from_vehicle(pose)),
-            self._transform(time_ns, VEHICLE_FRAME, CAMERA_FRAME, *camera),
+            self._transform(time_ns, scene.MAP_FRAME, scene.VEHICLE_FRAME, *scene.map_from_vehicle(pose)),
+            self._transform(time_ns, scene.VEHICLE_FRAME, scene.CAMERA_FRAME, *camera),
         ]
         yield self._message(TRANSFORMS, transforms=transforms)
         in_image = [self._detection_2d(shown, header) for shown in objects]
@@ -117,7 +112,7 @@ class Ros2Profile:
         sec, nanosec = divmod(time_ns, NANOSECONDS)
         return self._new("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
 
-    def _header(self, time_ns: int, frame_id: str = CAMERA_FRAME) -> Any:
+    def _header(self, time_ns: int, frame_id: str = scene.CAMERA_FRAME) -> Any:
         return self._new("std_msgs/msg/Header", stamp=self._stamp(time_ns), frame_id=frame_id)
 
     def _vector(self, kind: str, x: float, y: float, z: float) -> Any:
@@ -165,19 +160,19 @@ class Ros2Profile:
             transform=transform,
         )
 
-    def _detection_2d(self, shown: TrackObject, header: Any) -> Any:
+    def _detection_2d(self, shown: scene.TrackObject, header: Any) -> Any:
         x1, y1, x2, y2 = shown.xyxy_px
         position = self._new("vision_msgs/msg/Point2D", x=(x1 + x2) / 2, y=(y1 + y2) / 2)
         centre = self._new("vision_msgs/msg/Pose2D", position=position, theta=0.0)
         box = self._new("vision_msgs/msg/BoundingBox2D", center=centre, size_x=x2 - x1, size_y=y2 - y1)
         return self._detection("Detection2D", shown, header, box)
 
-    def _detection_3d(self, shown: TrackObject, header: Any) -> Any:
+    def _detection_3d(self, shown: scene.TrackObject, header: Any) -> Any:
         size = self._vector("Vector3", *shown.size_m)
         box = self._new("vision_msgs/msg/BoundingBox3D", center=self._pose(*shown.centre_m), size=size)
         return self._detection("Detection3D", shown, header, box)
 
-    def _detection(self, kind: str, shown: TrackObject, header: Any, box: Any) -> Any:
+    def _detection(self, kind: str, shown: scene.TrackObject, header: Any, box: Any) -> Any:
         """Box with its class and score, the cuboid's centre and the variance of the distance."""
         covariance = np.zeros(36)
         covariance[14] = shown.sigma_m**2 if "sigma_m" in shown.figures else _UNKNOWN_VARIANCE  # z, z
@@ -189,7 +184,7 @@ class Ros2Profile:
         )
         return self._new(f"vision_msgs/msg/{kind}", header=header, results=[result], bbox=box, id=str(shown.track_id))
 
-    def _status(self, shown: TrackObject) -> Any:
+    def _status(self, shown: scene.TrackObject) -> Any:
         """Figures of a track as text, which PlotJuggler converts to curves."""
         figures = {"observed": float(shown.is_observed), **shown.figures}
         values = [
