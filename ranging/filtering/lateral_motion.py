@@ -115,15 +115,11 @@ class LateralFilters:
         yaw_rad_s: float = math.nan,
         own_mps: FloatArray | float = 0.0,
     ) -> LateralMotion:
-        """Lateral motion of the tracks after the measurements of this frame.
+        """Lateral motion of N tracks after the measurements of a frame, not earlier than the previous one.
 
-        Args:
-            tracks: N tracks; predicted boxes and boxes truncated at the left or right border are not measurements.
-            distance_m: (N,) filtered distance z, NaN = unknown.
-            time_s: time of the frame, not earlier than that of the previous frame.
-            distance_sigma_m: (N,) standard deviation of the errors of z that change from frame to frame.
-            yaw_rad_s: yaw rate w of the camera, positive = to the right; NaN = unknown.
-            own_mps: (N,) the objects' own speed z' + V along the camera's axis; 0 = unknown.
+        Predicted boxes and those truncated at the left or right border are not measured. The distances z (N,), NaN =
+        unknown, have standard deviations of the errors that change from frame to frame; `yaw_rad_s` is the yaw rate w
+        of the camera, positive = to the right, NaN = unknown; `own_mps` (N,) the objects' own speed z' + V, 0 = unknown.
         """
         x, sigma_m, half_width_m, is_whole = self._measured(tracks, distance_m)
         R = sigma_m**2 + (x * distance_sigma_m / distance_m) ** 2

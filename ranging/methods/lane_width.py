@@ -112,14 +112,9 @@ class LaneWidthRanger(Ranger):
     ) -> None:
         """Create a ranger for `camera` (undistorted).
 
-        Args:
-            region: region of the recording, for the usual width of lanes.
-            width_m: lane width W between the centre lines of the lane markings; None = that of region and road.
-            width_sigma: relative standard deviation of `width_m`.
-            box_sigma_px: standard deviation of the bottom edge of a detected box.
-            width_from: method with distances that the width is learnt from; None = the width is fixed.
-            camera_height_m: height above the road; None = unknown.
-            has_visible_boxes: whether boxes end at the tyres, as those of a detector.
+        `width_m` is the lane width W between the centre lines of the markings, None = usual in the region, `width_sigma`
+        its relative standard deviation, and `width_from` the method that it is learnt from, None = it is fixed.
+        `has_visible_boxes`: boxes end at the tyres, as those of a detector, within `box_sigma_px`.
         """
         self._camera = camera
         self._box_sigma_px = box_sigma_px

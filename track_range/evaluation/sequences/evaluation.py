@@ -17,15 +17,7 @@ from track_range.detection.formats.label_formats import is_blank, label_format_o
 from track_range.detection.formats.table_checks import other_labels_note
 from track_range.detection.formats.video_labels.kitti import read_kitti
 from track_range.detection.formats.video_labels.mot import read_mot
-from track_range.evaluation.sequences.find import (
-    KITTI_FOLDER,
-    MOT_FOLDER,
-    SequenceFile,
-    find_sequences,
-    ignored_files_note,
-    no_truth_note,
-    paired,
-)
+from track_range.evaluation.sequences import find
 from track_range.evaluation.sequences.settings import TRUTH_FORMATS, TrackEvaluationSettings
 from track_range.foundation.arrays import IntArray
 from track_range.foundation.errors import UsageError
@@ -49,13 +41,15 @@ def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
     UsageError, ClassNameError: the class cannot be evaluated.
     """
     truth, results = settings.truth, settings.results
-    labelled = find_sequences(truth, "gt")
+    labelled = find.find_sequences(truth, "gt")
     form = settings.truth_format or _form_of(labelled[0].path)
     # In the output folder of `track` only KITTI rows contain the classes that KITTI's truth distinguishes.
-    folders = [results / name for name in ((KITTI_FOLDER, MOT_FOLDER) if form == "kitti" else (MOT_FOLDER,))]
+    folders = [
+        results / name for name in ((find.KITTI_FOLDER, find.MOT_FOLDER) if form == "kitti" else (find.MOT_FOLDER,))
+    ]
     results_folder = next((folder for folder in folders if folder.is_dir()), results)
-    tracked = find_sequences(results_folder, "det")
-    pairs = paired(labelled, tracked)
+    tracked = find.find_sequences(results_folder, "det")
+    pairs = find.paired(labelled, tracked)
     notes: list[str] = []
     if form in _BENCHMARKS:
         name = _class_of(form, settings.road_class)
@@ -79,9 +73,9 @@ def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
         "combined": _without_nan(asdict(combined.scores())),
         "sequences": {key: _without_nan(asdict(value.scores())) for key, value in counts.items()},
         "notes": [
-            *ignored_files_note(truth, labelled),
-            *ignored_files_note(results_folder, tracked),
-            *no_truth_note(labelled, tracked),
+            *find.ignored_files_note(truth, labelled),
+            *find.ignored_files_note(results_folder, tracked),
+            *find.no_truth_note(labelled, tracked),
             *(
                 f"{labels.path}: the file is empty, so all tracks of {labels.name} are false positives."
                 for labels, _ in pairs
@@ -164,7 +158,7 @@ def _class_of(form: str, road_class: str | None) -> str:
 
 
 def _cleaned(
-    truth: SequenceFile, results: SequenceFile, form: str, road_class: str
+    truth: find.SequenceFile, results: find.SequenceFile, form: str, road_class: str
 ) -> tuple[TrackedBoxes, TrackedBoxes]:
     """The boxes of truth and results of one sequence that are evaluated by the benchmark's rules."""
     if form == "mot":

@@ -19,13 +19,7 @@ from track_range.detection.formats.detection_files import RecordedDetections, re
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.video_labels.kitti import KITTI_TYPE_OF, kitti_line
 from track_range.detection.formats.video_labels.mot import mot_lines
-from track_range.evaluation.sequences.find import (
-    KITTI_FOLDER,
-    MOT_FOLDER,
-    SequenceFile,
-    find_sequences,
-    ignored_files_note,
-)
+from track_range.evaluation.sequences import find
 from track_range.evaluation.sequences.settings import TrackSettings
 from track_range.foundation.arrays import BoolArray, FloatArray, Image
 from track_range.foundation.errors import UsageError
@@ -77,25 +71,25 @@ def track(
     FolderLockError.
     """
     check_tracker(settings.tracker, settings.reid)
-    sequences = find_sequences(settings.detections, "det")
+    sequences = find.find_sequences(settings.detections, "det")
     class_id = _class_of(settings)
     is_single = len(sequences) == 1
     all_images = [images_of(sequence, settings.images, is_single=is_single) for sequence in sequences]
     if settings.reid is not None and None in all_images:
         raise UsageError("--reid needs the images of every sequence; give --images.")
     for sequence in sequences:
-        for folder in (MOT_FOLDER, KITTI_FOLDER):
+        for folder in (find.MOT_FOLDER, find.KITTI_FOLDER):
             if real_path(settings.out / folder / f"{sequence.name}.txt") == real_path(sequence.path):
                 raise OutputError(f"{sequence.path}: the result would overwrite this input; choose another --out.")
     tracker_options = open_tracker_options(settings.reid)
     reid_notes = () if tracker_options.reid is None else tracker_options.reid.notes
-    for sentence in (*ignored_files_note(settings.detections, sequences), *reid_notes):
+    for sentence in (*find.ignored_files_note(settings.detections, sequences), *reid_notes):
         note(sentence)
     done, failed = [], {}
     with locked_output(settings.out):
-        make_folder(settings.out / MOT_FOLDER)
+        make_folder(settings.out / find.MOT_FOLDER)
         if settings.kitti:
-            make_folder(settings.out / KITTI_FOLDER)
+            make_folder(settings.out / find.KITTI_FOLDER)
         for sequence, images in zip(sequences, all_images, strict=True):
             try:
                 recorded = _read(sequence.path, class_id, settings)
@@ -137,7 +131,7 @@ def _class_of(settings: TrackSettings) -> int:
 
 
 def _track_one(
-    sequence: SequenceFile,
+    sequence: find.SequenceFile,
     recorded: RecordedDetections,
     images: Path | None,
     tracker: ObjectTracker,
@@ -163,7 +157,7 @@ def _track_one(
         for index, tracks in enumerate(frames)
         for line in mot_lines(index, tracks.track_id, tracks.xyxy_px, tracks.score)
     )
-    write_text(settings.out / MOT_FOLDER / f"{sequence.name}.txt", "".join(lines))
+    write_text(settings.out / find.MOT_FOLDER / f"{sequence.name}.txt", "".join(lines))
     if settings.kitti:
         notes = (*notes, *_write_kitti(frames, settings.out, sequence.name))
     track_ids = np.unique(np.concatenate([tracks.track_id for tracks in frames])) if frames else ()
@@ -173,7 +167,7 @@ def _track_one(
 
 def _write_kitti(frames: Sequence[Tracks], out: Path, name: str) -> tuple[str, ...]:
     """Write kitti/NAME.txt, frames from 0; returns a note about boxes omitted because KITTI has no such class."""
-    file = Path(KITTI_FOLDER) / f"{name}.txt"
+    file = Path(find.KITTI_FOLDER) / f"{name}.txt"
     unknown_m = (math.nan, math.nan, math.nan)
     rows = [
         kitti_line(frame, track_id, KITTI_TYPE_OF[ROAD_CLASSES[i]], box, unknown_m, score)
@@ -206,7 +200,7 @@ class TrackedSequence:
     notes: tuple[str, ...]
 
 
-def images_of(sequence: SequenceFile, path: Path | None, *, is_single: bool) -> Path | None:
+def images_of(sequence: find.SequenceFile, path: Path | None, *, is_single: bool) -> Path | None:
     """The video or folder of images of a sequence; None = no images.
 
     `path` is the user's video, or a folder with NAME.mp4, NAME/ or NAME/img1/; without it, only MOTChallenge's img1

@@ -22,16 +22,7 @@ import numpy as np
 from track_range.simulation.world.contacts import CAMERA_TO_FRONT_M, EGO_HWL_M, first_contact
 from track_range.simulation.world.motion import SpeedChanges, speed_at_mps, travelled_m
 from track_range.simulation.world.road_shape import RoadShape
-from track_range.simulation.world.scenarios.casting import (
-    earlier,
-    lane,
-    oncoming,
-    parked,
-    road_user,
-    scene_of,
-    signs,
-    walkers,
-)
+from track_range.simulation.world.scenarios import casting
 from track_range.simulation.world.scene import AWAY_RAD, SIZE_HWL_M, TOWARDS_RAD, VIEW_M, RoadUser, Scene
 
 CONTACT_S = (5.5, 7.5)  # earliest and latest contact; sizes, which vary too, shift it by some hundredths of a second
@@ -82,7 +73,7 @@ def crossing_adult(seed: int, seconds: float) -> Scene:
         *(_oncoming_traffic(rng, until_m, seconds) if side > 0 else ()),
         *_pavements(rng, person.start_xz_m[1], until_m, 0.5, (-12.0, 0.0, 6.0)),
     ]
-    return _with_crash(scene_of(seed, rng, users, ((0.0, ego_mps),), "city", (3.0, 0.8)), seconds)
+    return _with_crash(casting.scene_of(seed, rng, users, ((0.0, ego_mps),), "city", (3.0, 0.8)), seconds)
 
 
 def crossing_child(seed: int, seconds: float) -> Scene:
@@ -95,13 +86,13 @@ def crossing_child(seed: int, seconds: float) -> Scene:
     z_m, until_m = child.start_xz_m[1], ego_mps * seconds + VIEW_M
     nearest = "Van" if rng.uniform() < 0.4 else "Car"
     hiding = [
-        road_user(kitti_type, 6.4 * side, z_m + by_m, AWAY_RAD if side > 0 else TOWARDS_RAD)
+        casting.road_user(kitti_type, 6.4 * side, z_m + by_m, AWAY_RAD if side > 0 else TOWARDS_RAD)
         for kitti_type, by_m in ((nearest, -3.6), ("Car", -10.0), ("Car", 3.8))
     ]
     others = _pavements(rng, z_m, until_m, 0.6, (-12.0, -4.0, 4.0))
     traffic = _oncoming_traffic(rng, until_m, seconds) if side > 0 else []
     users = [child, *hiding, *traffic, *others]
-    return _with_crash(scene_of(seed, rng, users, ((0.0, ego_mps),), "city", (3.0, 0.8)), seconds)
+    return _with_crash(casting.scene_of(seed, rng, users, ((0.0, ego_mps),), "city", (3.0, 0.8)), seconds)
 
 
 def curve_parked(seed: int, seconds: float) -> Scene:
@@ -115,8 +106,8 @@ def curve_parked(seed: int, seconds: float) -> Scene:
         for z_m in np.arange(float(rng.uniform(6, 14)), until_m, 7.5).tolist():
             kitti_type = str(rng.choice(["Car", "Van"], p=[0.8, 0.2]))
             if rng.uniform() < 0.85:
-                users.append(road_user(kitti_type, x_m + float(rng.normal(0, 0.1)), z_m, heading_rad))
-    users += [*walkers(rng, until_m=until_m, x_m=9.6), *signs("city", until_m=until_m)]
+                users.append(casting.road_user(kitti_type, x_m + float(rng.normal(0, 0.1)), z_m, heading_rad))
+    users += [*casting.walkers(rng, until_m=until_m, x_m=9.6), *casting.signs("city", until_m=until_m)]
     road = RoadShape(
         swing_m=float(rng.uniform(8, 13)),
         swing_length_m=float(rng.uniform(170, 230)),
@@ -124,7 +115,7 @@ def curve_parked(seed: int, seconds: float) -> Scene:
         hill_m=0.5,
         hill_phase_rad=float(rng.uniform(0, 2 * np.pi)),
     )
-    return scene_of(seed, rng, users, ((0.0, ego_mps),), "city", road)
+    return casting.scene_of(seed, rng, users, ((0.0, ego_mps),), "city", road)
 
 
 def oncoming_traffic(seed: int, seconds: float) -> Scene:
@@ -132,7 +123,7 @@ def oncoming_traffic(seed: int, seconds: float) -> Scene:
     rng = np.random.default_rng([seed, 27])
     ego_mps, other_mps = float(rng.uniform(11, 22)), float(rng.uniform(10, 24))
     until_m = ego_mps * seconds + VIEW_M
-    traffic = oncoming(
+    traffic = casting.oncoming(
         rng,
         x_m=-3.5,
         speed_mps=other_mps,
@@ -141,8 +132,8 @@ def oncoming_traffic(seed: int, seconds: float) -> Scene:
         until_m=until_m,
         seconds=seconds,
     )
-    users = [*traffic, *signs("country", until_m=until_m)]
-    return scene_of(seed, rng, users, ((0.0, ego_mps),), "country", (9.0, 2.0))
+    users = [*traffic, *casting.signs("country", until_m=until_m)]
+    return casting.scene_of(seed, rng, users, ((0.0, ego_mps),), "country", (9.0, 2.0))
 
 
 def overhead_sign(seed: int, seconds: float) -> Scene:
@@ -151,7 +142,7 @@ def overhead_sign(seed: int, seconds: float) -> Scene:
     ego_mps = float(rng.uniform(16, 30))
     until_m = ego_mps * seconds + VIEW_M
     users = [
-        road_user(
+        casting.road_user(
             "TrafficSign",
             float(rng.normal(0, 0.6)),
             float(z_m),
@@ -162,9 +153,9 @@ def overhead_sign(seed: int, seconds: float) -> Scene:
         for z_m in np.arange(float(rng.uniform(35, 60)), until_m, float(rng.uniform(60, 90)))
     ]
     types = (("Car", 0.7), ("Truck", 0.3))
-    users += lane(rng, x_m=3.62, speed_mps=ego_mps, spacing_m=45.0, types=types, from_m=20.0, until_m=until_m)
+    users += casting.lane(rng, x_m=3.62, speed_mps=ego_mps, spacing_m=45.0, types=types, from_m=20.0, until_m=until_m)
     users += _fast_oncoming(rng, until_m, seconds)
-    return scene_of(seed, rng, users, ((0.0, ego_mps),), "highway", (6.0, 2.0))
+    return casting.scene_of(seed, rng, users, ((0.0, ego_mps),), "highway", (6.0, 2.0))
 
 
 def following(seed: int, seconds: float) -> Scene:
@@ -175,10 +166,10 @@ def following(seed: int, seconds: float) -> Scene:
     ego = _slow_changes(rng, mean_mps, seconds)
     kitti_type = str(rng.choice(_TYPES, p=_FRACTIONS))
     z_m = travelled_m(ego, 2.0) + CAMERA_TO_FRONT_M + SIZE_HWL_M[kitti_type][2] / 2
-    lead = road_user(kitti_type, float(rng.normal(0, 0.2)), z_m, speed_changes=earlier(ego, 2.0))
+    lead = casting.road_user(kitti_type, float(rng.normal(0, 0.2)), z_m, speed_changes=casting.earlier(ego, 2.0))
     until_m = travelled_m(ego, seconds) + VIEW_M
     users = [lead, *_other_traffic(rng, surroundings, until_m, seconds)]
-    return scene_of(seed, rng, users, ego, surroundings, (4.0, 1.2))
+    return casting.scene_of(seed, rng, users, ego, surroundings, (4.0, 1.2))
 
 
 def _rear(
@@ -198,10 +189,10 @@ def _rear(
     z_m = ego_mps * contact_s + CAMERA_TO_FRONT_M + length_m / 2 - travelled_m(target, contact_s)
     surroundings = str(rng.choice(roads))
     users = [
-        road_user(kitti_type, x_m, z_m, speed_changes=target),
+        casting.road_user(kitti_type, x_m, z_m, speed_changes=target),
         *_other_traffic(rng, surroundings, ego_mps * seconds + VIEW_M, seconds),
     ]
-    return _with_crash(scene_of(seed, rng, users, ((0.0, ego_mps),), surroundings, (4.0, 1.2)), seconds)
+    return _with_crash(casting.scene_of(seed, rng, users, ((0.0, ego_mps),), surroundings, (4.0, 1.2)), seconds)
 
 
 def _crossing_person(
@@ -211,16 +202,16 @@ def _crossing_person(
     hit_m = float(rng.uniform(-0.25, 0.25)) * EGO_HWL_M[1]
     z_m = ego_mps * contact_s + CAMERA_TO_FRONT_M + SIZE_HWL_M["Pedestrian"][1] / 2
     x_m, heading_rad = hit_m + side * speed_mps * contact_s, np.pi if side > 0 else 0.0
-    return road_user("Pedestrian", x_m, z_m, heading_rad, speed_mps=speed_mps, size_factor=size_factor)
+    return casting.road_user("Pedestrian", x_m, z_m, heading_rad, speed_mps=speed_mps, size_factor=size_factor)
 
 
 def _pavements(
     rng: np.random.Generator, crossing_m: float, until_m: float, fraction: float, free_m: tuple[float, ...]
 ) -> list[RoadUser]:
     """Parked cars except at `free_m` from a person who crosses, people who do not meet this person, and signs."""
-    cars = parked(rng, until_m=until_m, fraction=fraction, free_m=tuple(crossing_m + by_m for by_m in free_m))
-    people = [user for user in walkers(rng, until_m=until_m) if abs(user.start_xz_m[1] - crossing_m) > WALK_M]
-    return [*cars, *people, *signs("city", until_m=until_m)]
+    cars = casting.parked(rng, until_m=until_m, fraction=fraction, free_m=tuple(crossing_m + by_m for by_m in free_m))
+    people = [user for user in casting.walkers(rng, until_m=until_m) if abs(user.start_xz_m[1] - crossing_m) > WALK_M]
+    return [*cars, *people, *casting.signs("city", until_m=until_m)]
 
 
 def _other_traffic(rng: np.random.Generator, surroundings: str, until_m: float, seconds: float) -> list[RoadUser]:
@@ -229,17 +220,17 @@ def _other_traffic(rng: np.random.Generator, surroundings: str, until_m: float, 
     else:
         users = _oncoming_traffic(rng, until_m, seconds)
     if surroundings == "city":
-        users += [*parked(rng, until_m=until_m, fraction=0.5), *walkers(rng, until_m=until_m)]
-    return [*users, *signs(surroundings, until_m=until_m)]
+        users += [*casting.parked(rng, until_m=until_m, fraction=0.5), *casting.walkers(rng, until_m=until_m)]
+    return [*users, *casting.signs(surroundings, until_m=until_m)]
 
 
 def _oncoming_traffic(rng: np.random.Generator, until_m: float, seconds: float) -> list[RoadUser]:
     speed_mps, spacing_m = float(rng.uniform(9, 15)), float(rng.uniform(30, 60))
-    return oncoming(rng, x_m=-3.5, speed_mps=speed_mps, spacing_m=spacing_m, until_m=until_m, seconds=seconds)
+    return casting.oncoming(rng, x_m=-3.5, speed_mps=speed_mps, spacing_m=spacing_m, until_m=until_m, seconds=seconds)
 
 
 def _fast_oncoming(rng: np.random.Generator, until_m: float, seconds: float) -> list[RoadUser]:
-    return oncoming(rng, x_m=-8.5, speed_mps=30.0, spacing_m=55.0, until_m=until_m, seconds=seconds)
+    return casting.oncoming(rng, x_m=-8.5, speed_mps=30.0, spacing_m=55.0, until_m=until_m, seconds=seconds)
 
 
 def _slow_changes(rng: np.random.Generator, mean_mps: float, seconds: float) -> SpeedChanges:

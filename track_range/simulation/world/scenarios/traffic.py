@@ -15,17 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from track_range.simulation.world.motion import LaneChange, SpeedChanges, travelled_m
-from track_range.simulation.world.scenarios.casting import (
-    earlier,
-    lane,
-    lights,
-    oncoming,
-    parked,
-    road_user,
-    scene_of,
-    signs,
-    walkers,
-)
+from track_range.simulation.world.scenarios import casting
 from track_range.simulation.world.scene import TOWARDS_RAD, VIEW_M, Scene
 
 QUEUE_SPACING_M, QUEUE_DELAY_S = 6.7, 0.8  # between centres of standing cars, and of each car after the one ahead
@@ -40,18 +30,18 @@ def city(seed: int, seconds: float) -> Scene:
     driven_m = travelled_m(ego, seconds)
     until_m, crossing_m = driven_m + VIEW_M, driven_m + 12.0
     users = [
-        road_user("Car", 0.1, 19.0, speed_changes=earlier(ego, 0.9)),
-        road_user("Motorcycle", -0.2, 34.0, speed_changes=earlier(ego, 1.6)),
-        road_user("Bus", 3.6, 27.0, speed_mps=8.0),
-        road_user("Cyclist", 4.7, 15.0, speed_mps=4.5),
-        *lane(rng, x_m=3.5, speed_mps=8.0, spacing_m=26.0, from_m=52.0, until_m=until_m),
-        *oncoming(rng, x_m=-3.5, speed_mps=10.0, spacing_m=34.0, until_m=until_m, seconds=seconds),
-        *parked(rng, until_m=until_m, fraction=0.5, free_m=(crossing_m,)),
-        *walkers(rng, until_m=until_m),
-        *signs("city", until_m=until_m),
-        *lights(crossing_m),
+        casting.road_user("Car", 0.1, 19.0, speed_changes=casting.earlier(ego, 0.9)),
+        casting.road_user("Motorcycle", -0.2, 34.0, speed_changes=casting.earlier(ego, 1.6)),
+        casting.road_user("Bus", 3.6, 27.0, speed_mps=8.0),
+        casting.road_user("Cyclist", 4.7, 15.0, speed_mps=4.5),
+        *casting.lane(rng, x_m=3.5, speed_mps=8.0, spacing_m=26.0, from_m=52.0, until_m=until_m),
+        *casting.oncoming(rng, x_m=-3.5, speed_mps=10.0, spacing_m=34.0, until_m=until_m, seconds=seconds),
+        *casting.parked(rng, until_m=until_m, fraction=0.5, free_m=(crossing_m,)),
+        *casting.walkers(rng, until_m=until_m),
+        *casting.signs("city", until_m=until_m),
+        *casting.lights(crossing_m),
     ]
-    return scene_of(seed, rng, users, ego, "city", (5.0, 1.0))
+    return casting.scene_of(seed, rng, users, ego, "city", (5.0, 1.0))
 
 
 def night(seed: int, seconds: float) -> Scene:
@@ -66,15 +56,15 @@ def highway(seed: int, seconds: float) -> Scene:
     until_m = travelled_m(ego, seconds) + VIEW_M
     behind_m = -4.0 * seconds
     users = [
-        road_user("Car", 0.1, 34.0, speed_changes=((0, 28.5), (5, 30.5), (10, 30), (20, 29))),
-        road_user("Van", 0.0, 72.0, speed_changes=ego),
-        *lane(rng, x_m=3.62, speed_mps=24.0, spacing_m=38.0, types=_TRUCKS, from_m=16.0, until_m=until_m),
-        *lane(rng, x_m=-3.62, speed_mps=33.0, spacing_m=45.0, types=_FAST, from_m=behind_m, until_m=VIEW_M),
-        *oncoming(rng, x_m=-8.5, speed_mps=31.0, spacing_m=55.0, until_m=until_m, seconds=seconds),
-        *oncoming(rng, x_m=-12.0, speed_mps=25.0, spacing_m=60.0, until_m=until_m, seconds=seconds),
-        *signs("highway", until_m=until_m),
+        casting.road_user("Car", 0.1, 34.0, speed_changes=((0, 28.5), (5, 30.5), (10, 30), (20, 29))),
+        casting.road_user("Van", 0.0, 72.0, speed_changes=ego),
+        *casting.lane(rng, x_m=3.62, speed_mps=24.0, spacing_m=38.0, types=_TRUCKS, from_m=16.0, until_m=until_m),
+        *casting.lane(rng, x_m=-3.62, speed_mps=33.0, spacing_m=45.0, types=_FAST, from_m=behind_m, until_m=VIEW_M),
+        *casting.oncoming(rng, x_m=-8.5, speed_mps=31.0, spacing_m=55.0, until_m=until_m, seconds=seconds),
+        *casting.oncoming(rng, x_m=-12.0, speed_mps=25.0, spacing_m=60.0, until_m=until_m, seconds=seconds),
+        *casting.signs("highway", until_m=until_m),
     ]
-    return scene_of(seed, rng, users, ego, "highway", (9.0, 2.2))
+    return casting.scene_of(seed, rng, users, ego, "highway", (9.0, 2.2))
 
 
 def cut_in(seed: int, seconds: float) -> Scene:
@@ -84,15 +74,17 @@ def cut_in(seed: int, seconds: float) -> Scene:
     until_m = travelled_m(ego, seconds) + VIEW_M
     braking: SpeedChanges = ((0, 24.5), (3.5, 24.5), (6, 20), (20, 23))
     users = [
-        road_user("Car", 3.62, 17.0, speed_changes=braking, lane_change=LaneChange(1.5, 4.0, -3.6)),
-        road_user("Car", 0.0, 62.0, speed_changes=((0, 24), (5, 21), (20, 23))),
-        road_user("Truck", 3.62, 38.0, speed_mps=21.5),
-        *lane(rng, x_m=3.62, speed_mps=21.5, spacing_m=40.0, types=_TRUCKS, from_m=78.0, until_m=until_m),
-        *lane(rng, x_m=-3.62, speed_mps=29.0, spacing_m=50.0, types=_FAST, from_m=-6.0 * seconds, until_m=VIEW_M),
-        *oncoming(rng, x_m=-8.5, speed_mps=29.0, spacing_m=55.0, until_m=until_m, seconds=seconds),
-        *signs("highway", until_m=until_m),
+        casting.road_user("Car", 3.62, 17.0, speed_changes=braking, lane_change=LaneChange(1.5, 4.0, -3.6)),
+        casting.road_user("Car", 0.0, 62.0, speed_changes=((0, 24), (5, 21), (20, 23))),
+        casting.road_user("Truck", 3.62, 38.0, speed_mps=21.5),
+        *casting.lane(rng, x_m=3.62, speed_mps=21.5, spacing_m=40.0, types=_TRUCKS, from_m=78.0, until_m=until_m),
+        *casting.lane(
+            rng, x_m=-3.62, speed_mps=29.0, spacing_m=50.0, types=_FAST, from_m=-6.0 * seconds, until_m=VIEW_M
+        ),
+        *casting.oncoming(rng, x_m=-8.5, speed_mps=29.0, spacing_m=55.0, until_m=until_m, seconds=seconds),
+        *casting.signs("highway", until_m=until_m),
     ]
-    return scene_of(seed, rng, users, ego, "highway", (5.0, 1.5))
+    return casting.scene_of(seed, rng, users, ego, "highway", (5.0, 1.5))
 
 
 def crossing(seed: int, seconds: float) -> Scene:
@@ -111,16 +103,16 @@ def crossing(seed: int, seconds: float) -> Scene:
     riding: SpeedChanges = ((4.0, 0), (5.0, 3.4), (8.4, 3.4), (9.2, 0))
     shift_m = float(rng.uniform(-0.8, 0.8))
     users = [
-        *(road_user("Pedestrian", x_m + shift_m, z_m, rad, speed_mps=mps) for x_m, z_m, rad, mps in people),
-        road_user("Cyclist", -7.2, line_m + 6.2, 0.0, speed_changes=riding),
-        road_user("Car", 0.0, line_m + 22.0, speed_mps=9.5),
-        road_user("Car", -3.5, line_m + 16.0, TOWARDS_RAD, speed_changes=((0, 4), (2, 0), (9, 0))),
-        *parked(rng, until_m=until_m, fraction=0.55, free_m=(line_m, line_m + 6)),
-        *walkers(rng, until_m=until_m),
-        *lights(line_m + 9.0),
-        *signs("city", until_m=until_m, first_m=line_m - 3.0),
+        *(casting.road_user("Pedestrian", x_m + shift_m, z_m, rad, speed_mps=mps) for x_m, z_m, rad, mps in people),
+        casting.road_user("Cyclist", -7.2, line_m + 6.2, 0.0, speed_changes=riding),
+        casting.road_user("Car", 0.0, line_m + 22.0, speed_mps=9.5),
+        casting.road_user("Car", -3.5, line_m + 16.0, TOWARDS_RAD, speed_changes=((0, 4), (2, 0), (9, 0))),
+        *casting.parked(rng, until_m=until_m, fraction=0.55, free_m=(line_m, line_m + 6)),
+        *casting.walkers(rng, until_m=until_m),
+        *casting.lights(line_m + 9.0),
+        *casting.signs("city", until_m=until_m, first_m=line_m - 3.0),
     ]
-    return scene_of(seed, rng, users, ego, "city", (2.0, 0.6))
+    return casting.scene_of(seed, rng, users, ego, "city", (2.0, 0.6))
 
 
 def queue(seed: int, seconds: float) -> Scene:
@@ -132,19 +124,19 @@ def queue(seed: int, seconds: float) -> Scene:
     for x_m, delay_s, first_m in ((0.0, 0.0, 9.5), (3.5, 1.3, 5.5)):
         number, z_m = 1, first_m
         while z_m < VIEW_M:
-            changes = earlier(ego, QUEUE_DELAY_S * number - delay_s)
+            changes = casting.earlier(ego, QUEUE_DELAY_S * number - delay_s)
             kitti_type = "Van" if rng.uniform() < 0.15 else "Car"
-            users.append(road_user(kitti_type, x_m + float(rng.normal(0, 0.1)), z_m, speed_changes=changes))
+            users.append(casting.road_user(kitti_type, x_m + float(rng.normal(0, 0.1)), z_m, speed_changes=changes))
             number += 1
             z_m += QUEUE_SPACING_M + travelled_m(changes, QUEUE_DELAY_S)  # which the next has done already
-    users += oncoming(rng, x_m=-3.5, speed_mps=8.0, spacing_m=32.0, until_m=until_m, seconds=seconds)
-    users += [*walkers(rng, until_m=until_m), *signs("city", until_m=until_m), *lights(34.0)]
-    return scene_of(seed, rng, users, ego, "city", (3.0, 0.5))
+    users += casting.oncoming(rng, x_m=-3.5, speed_mps=8.0, spacing_m=32.0, until_m=until_m, seconds=seconds)
+    users += [*casting.walkers(rng, until_m=until_m), *casting.signs("city", until_m=until_m), *casting.lights(34.0)]
+    return casting.scene_of(seed, rng, users, ego, "city", (3.0, 0.5))
 
 
 def empty(seed: int, seconds: float) -> Scene:
     """A country road without road users."""
     rng = np.random.default_rng([seed, 16])
     ego: SpeedChanges = ((0, 20), (5, 24), (10, 22), (20, 20))
-    users = signs("country", until_m=travelled_m(ego, seconds) + VIEW_M)
-    return scene_of(seed, rng, users, ego, "country", (7.0, 3.0))
+    users = casting.signs("country", until_m=travelled_m(ego, seconds) + VIEW_M)
+    return casting.scene_of(seed, rng, users, ego, "country", (7.0, 3.0))
