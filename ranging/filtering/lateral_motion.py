@@ -118,8 +118,8 @@ class LateralFilters:
         """Lateral motion of N tracks after the measurements of a frame, not earlier than the previous one.
 
         Predicted boxes and those truncated at the left or right border are not measured. The distances z (N,), NaN =
-        unknown, have standard deviations of the errors that change from frame to frame; `yaw_rad_s` is the yaw rate w
-        of the camera, positive = to the right, NaN = unknown; `own_mps` (N,) the objects' own speed z' + V, 0 = unknown.
+        unknown, have standard deviations of the errors that change from frame to frame. `yaw_rad_s` is the camera's yaw
+        rate w, positive = to the right, NaN = unknown; `own_mps` (N,) the objects' own speed z' + V, 0 = unknown.
         """
         x, sigma_m, half_width_m, is_whole = self._measured(tracks, distance_m)
         R = sigma_m**2 + (x * distance_sigma_m / distance_m) ** 2

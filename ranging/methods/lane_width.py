@@ -112,8 +112,8 @@ class LaneWidthRanger(Ranger):
     ) -> None:
         """Create a ranger for `camera` (undistorted).
 
-        `width_m` is the lane width W between the centre lines of the markings, None = usual in the region, `width_sigma`
-        its relative standard deviation, and `width_from` the method that it is learnt from, None = it is fixed.
+        `width_m` is the lane width W between the centre lines of the markings, None = usual in the region; its relative
+        standard deviation is `width_sigma`. `width_from` is the method that it is learnt from, None = it is fixed.
         `has_visible_boxes`: boxes end at the tyres, as those of a detector, within `box_sigma_px`.
         """
         self._camera = camera
