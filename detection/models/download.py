@@ -19,7 +19,7 @@ from urllib.parse import urlparse
 from track_range.detection.darknet.importer import import_darknet
 from track_range.detection.models.catalogue import CatalogueEntry, ModelFile
 from track_range.foundation.errors import UserError
-from track_range.foundation.files.atomic_files import write_text
+from track_range.foundation.files.atomic_files import writable, write_text
 from track_range.foundation.files.input_files import shortened
 
 Progress = Callable[[int, int | None], None]  # (bytes so far, total if the server reports it)
@@ -51,10 +51,8 @@ def pull(entry: CatalogueEntry, cache: Path, progress: Progress | None = None) -
         ) from error
     sidecar = cache / f"{entry.name}.yaml"
     if entry.size_px is not None and not sidecar.exists():  # else the user has attributes for this model
-        try:
+        with writable(sidecar, DownloadError):
             write_text(sidecar, f"size: {entry.size_px}\n")
-        except OSError as error:
-            raise DownloadError(f"{sidecar}: cannot be written ({error.strerror or error}).") from error
     paths = {Path(file.name).suffix: fetch(file, cache / file.name, progress) for file in entry.files}
     if entry.is_darknet:
         import_darknet(paths[".cfg"], paths[".weights"], model, names=entry.classes)

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from track_range.detection.models.onnx_session import ModelError
-from track_range.foundation.files.atomic_files import atomic_folder, describe
+from track_range.foundation.files.atomic_files import atomic_folder, writable
 
 
 @contextlib.contextmanager
@@ -43,8 +43,5 @@ def atomic_output(out: Path) -> Iterator[Path]:
     """Context of a temporary folder; at the end its file named as `out` replaces `out`, or there is a ModelError."""
     if not out.parent.is_dir():
         raise ModelError(f"{out}: expected an existing folder, {out.parent} does not exist.")
-    try:
-        with atomic_folder(out) as folder:
-            yield folder
-    except OSError as error:
-        raise ModelError(f"{out}: cannot be written ({describe(error)}).") from error
+    with writable(out, ModelError), atomic_folder(out) as folder:
+        yield folder

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from track_range.detection.training.errors import CheckpointError
-from track_range.foundation.files.atomic_files import atomic_path, describe, write_text
+from track_range.foundation.files.atomic_files import atomic_path, describe, writable, write_text
 from track_range.foundation.files.output_files import OutputError
 
 LAST, BEST, RESULTS = "last.pt", "best.pt", "results.csv"
@@ -149,7 +149,5 @@ def write_results(path: Path, history: Sequence[Mapping[str, float]]) -> None:
     writer = csv.DictWriter(text, columns, restval="")
     writer.writeheader()
     writer.writerows({key: f"{value:.6g}" for key, value in row.items()} for row in history)
-    try:
+    with writable(path, CheckpointError):
         write_text(path, text.getvalue())
-    except OSError as error:
-        raise CheckpointError(f"{path}: cannot be written ({describe(error)}).") from error

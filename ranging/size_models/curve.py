@@ -15,7 +15,7 @@ from typing import Any, Literal, cast
 from pydantic import BaseModel
 
 from track_range.foundation.errors import UserError
-from track_range.foundation.files.atomic_files import describe, write_text
+from track_range.foundation.files.atomic_files import writable, write_text
 from track_range.foundation.files.structured_text import read_json
 from track_range.foundation.validation import Integer, validated
 from track_range.ranging.size_models import cuboid_sizes, log_linear, plain_curves
@@ -71,7 +71,5 @@ def load_curves(path: Path | None = None, region: Region = "unknown") -> StoredS
 def save_curves(model: StoredSizeModel, path: Path) -> None:
     """Write a size model as a curve file, atomically; CurveError if it cannot be written."""
     document = {_VERSION_KEY: CURVE_VERSION, **model.document()}
-    try:
+    with writable(path, CurveError):
         write_text(path, json.dumps(document, indent=2) + "\n")
-    except OSError as error:
-        raise CurveError(f"{path}: cannot be written ({describe(error)}).") from error

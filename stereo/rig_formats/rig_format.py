@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from track_range.foundation.files.atomic_files import describe, write_text
+from track_range.foundation.files.atomic_files import writable, write_text
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import RigCalibration
@@ -56,7 +56,5 @@ def write_rig_text(path: Path, text: str) -> None:
     """Write a text file atomically. Raises RigError if the path is a folder, or cannot be written."""
     if os.path.isdir(path):
         raise RigError(f"{path}: expected a file to write, found a folder; give a file name.")
-    try:
+    with writable(path, RigError):
         write_text(path, text)
-    except OSError as error:
-        raise RigError(f"{path}: cannot be written ({describe(error)}); choose another place.") from error

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from track_range.foundation.errors import UserError
-from track_range.foundation.files.atomic_files import describe, write_text
+from track_range.foundation.files.atomic_files import writable, write_text
 from track_range.foundation.files.folder_lock import is_locked
 from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.files.structured_text import read_json
@@ -33,11 +33,9 @@ class ProgressNote:
     def write(self, folder: Path) -> None:
         """Write progress.json atomically; OutputError if it cannot be written."""
         path = folder / PROGRESS_FILE
-        try:
+        with writable(path, OutputError):
             # Not flushed to the disk: the note is of use after a kill, not after a power failure.
             write_text(path, json.dumps(asdict(self)) + "\n", is_flushed=False)
-        except OSError as error:
-            raise OutputError(f"{path}: cannot be written ({describe(error)}).") from error
 
 
 def read_progress(folder: Path) -> ProgressNote | None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import IntArray
-from track_range.foundation.files.atomic_files import atomic_path, describe
+from track_range.foundation.files.atomic_files import atomic_path, writable
 from track_range.foundation.files.output_files import OutputError
 from track_range.ranging.warning.safety import HALF_WIDTH_M, MAX_GAP_S, post_encroachment_s
 from track_range.results.columns import Columns, most_frequent, rows_by_track
@@ -103,11 +103,8 @@ def write_rows(path: Path, rows: Sequence[dict[str, Any]], *, is_parquet: bool) 
     kinds = {"track_id": pa.int64(), **dict.fromkeys(("clip", "class", "state"), pa.string())}
     schema = pa.schema([(key, kinds.get(key, pa.float64())) for key in COLUMNS])
     table = pa.Table.from_pylist(list(rows), schema)
-    try:
-        with atomic_path(path) as partial:
-            if is_parquet:
-                parquet.write_table(table, partial, compression="zstd")
-            else:
-                csv.write_csv(table, partial, csv.WriteOptions(quoting_style="needed"))
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written ({describe(error)}).") from error
+    with writable(path, OutputError), atomic_path(path) as partial:
+        if is_parquet:
+            parquet.write_table(table, partial, compression="zstd")
+        else:
+            csv.write_csv(table, partial, csv.WriteOptions(quoting_style="needed"))

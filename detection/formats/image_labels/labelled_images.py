@@ -30,7 +30,7 @@ from track_range.foundation.errors import UserError
 from track_range.foundation.files import images as image_files
 from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.images import IMAGE_SUFFIXES
-from track_range.foundation.files.input_files import quoted
+from track_range.foundation.files.input_files import quoted, readable
 
 
 class ImageFileError(UserError):
@@ -63,10 +63,8 @@ def images_in(folder: Path) -> list[Path]:
     """The paths of the images in a folder, sorted by name; ImageFileError if there are none."""
     if not folder.is_dir():
         raise ImageFileError(f"{folder}: expected a folder of images, found none.")
-    try:
+    with readable(folder, ImageFileError):
         paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
-    except OSError as error:
-        raise ImageFileError(f"{folder}: cannot be read ({error.strerror or error}).") from error
     if not paths:
         raise ImageFileError(f"{folder}: expected images ({', '.join(sorted(IMAGE_SUFFIXES))}), found none.")
     return paths

@@ -37,7 +37,6 @@ from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.image_labels.yolo_labels import names_for_folder
 from track_range.detection.formats.limits import MAX_FRAME, MAX_ID, MAX_SIDE_PX
 from track_range.foundation.arrays import FloatArray, IntArray
-from track_range.foundation.files.atomic_files import describe
 from track_range.foundation.files.images import IMAGE_SUFFIXES, header_size_px
 from track_range.foundation.files.input_files import (
     MAX_TABLE_BYTES,
@@ -173,10 +172,8 @@ def _label_files(path: Path) -> tuple[list[Path], Path]:
     """Label files of a folder, sorted by name, and the folder that has them; none if it cannot be read."""
     folder = path / "labels" if os.path.isdir(path / "labels") else path
     pattern = "**/*.txt" if folder != path else "*.txt"
-    try:
+    with readable(path, LabelFileError):
         files = sorted(file for file in folder.glob(pattern) if file.is_file() and file.name not in _NOT_LABELS)
-    except OSError as error:
-        raise LabelFileError(f"{path}: the folder cannot be read ({describe(error)}).") from error
     return files, folder
 
 

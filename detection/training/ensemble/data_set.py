@@ -47,7 +47,7 @@ from track_range.detection.training.ensemble.fusion import FusedBoxes, fuse
 from track_range.detection.training.ensemble.views import EnsembleMember
 from track_range.detection.training.errors import TrainingError
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
-from track_range.foundation.files.atomic_files import describe, write_text
+from track_range.foundation.files.atomic_files import writable, write_text
 from track_range.foundation.files.input_files import shortened
 
 MIN_IGNORED_PROBABILITY = 0.6  # minimum probability of a box of a completely labelled class
@@ -216,10 +216,8 @@ def label_training_images(
             min_probability=min_probability,
         )
         file = out / f"{item.path.stem}.txt"
-        try:
+        with writable(file, TrainingError):
             write_text(file, labels.as_text(data.names), is_flushed=False)
-        except OSError as error:
-            raise TrainingError(f"{file}: cannot be written ({describe(error)}).") from error
         np.add.at(n_ignored, labels.class_id[labels.is_ignored], 1)
         for i, minimum in enumerate(COUNTED_PROBABILITIES):
             np.add.at(n_labels[:, i], labels.class_id[~labels.is_ignored & (labels.probability >= minimum)], 1)

@@ -18,7 +18,7 @@ from track_range.detection.training.errors import TrainingError
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
 from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, IntArray, check_shape
 from track_range.foundation.files.array_files import read_array
-from track_range.foundation.files.atomic_files import atomic_path, describe
+from track_range.foundation.files.atomic_files import atomic_path, writable
 from track_range.foundation.files.input_files import real_path
 
 N_VIEWS = 2  # the image and its mirror image
@@ -84,12 +84,10 @@ class EnsembleMember:
         boxes = detect_views(self._detector, image)
         rows = np.column_stack([boxes.xyxy, boxes.score, boxes.class_id]).astype(np.float32)
         file = self._file(image_file)
-        try:
+        with writable(file, TrainingError):
             file.parent.mkdir(parents=True, exist_ok=True)
             with atomic_path(file, is_flushed=False) as partial:
                 np.save(partial, rows)
-        except OSError as error:
-            raise TrainingError(f"{file}: cannot be written ({describe(error)}).") from error
 
     def boxes(self, image_file: Path) -> ViewBoxes:
         """The stored boxes of an image; TrainingError if they were not stored, or the file is damaged."""

@@ -19,8 +19,7 @@ from typing import Literal
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.limits import MAX_FRAME
 from track_range.detection.formats.video_labels.yolo_tracks import is_yolo_folder
-from track_range.foundation.files.atomic_files import describe
-from track_range.foundation.files.input_files import quoted, read_text, real_path
+from track_range.foundation.files.input_files import quoted, read_text, readable, real_path
 from track_range.foundation.files.numeric_text import number
 
 Kind = Literal["det", "gt"]  # detections or ground truth, as in MOTChallenge's file names
@@ -59,10 +58,8 @@ def find_sequences(path: Path, kind: Kind) -> list[SequenceFile]:
     if rows is not None or is_yolo_folder(path):
         return [SequenceFile(real_path(path).name, rows or path, SequenceInfo())]
     inner = Path(kind) / f"{kind}.txt"
-    try:
+    with readable(path, LabelFileError):
         folders = [path, *sorted(path.iterdir())]
-    except OSError as error:
-        raise LabelFileError(f"{path}: the folder cannot be read ({describe(error)}).") from error
     mot_files = [folder / inner for folder in folders if (folder / inner).is_file()]
     sequences = [_sequence(file) for file in mot_files or _text_files(path)]
     names = [sequence.name for sequence in sequences]

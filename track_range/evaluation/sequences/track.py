@@ -23,8 +23,7 @@ from track_range.evaluation.sequences import find
 from track_range.evaluation.sequences.settings import TrackSettings
 from track_range.foundation.arrays import BoolArray, FloatArray, Image
 from track_range.foundation.errors import UsageError
-from track_range.foundation.files.atomic_files import describe
-from track_range.foundation.files.input_files import real_path
+from track_range.foundation.files.input_files import readable, real_path
 from track_range.foundation.files.output_files import OutputError, locked_output, make_folder, write_text
 from track_range.foundation.progress import FrameProgress, no_frame_progress
 from track_range.recording.frame import VideoError
@@ -223,10 +222,8 @@ def images_of(sequence: find.SequenceFile, path: Path | None, *, is_single: bool
 
 def _videos(folder: Path, name: str) -> list[Path]:
     """Videos with this stem in a folder, by preference of the suffix, which may be in upper case."""
-    try:
+    with readable(folder, VideoError):
         files = [file for file in folder.iterdir() if file.stem == name] if folder.is_dir() else []
-    except OSError as error:
-        raise VideoError(f"{folder}: the folder cannot be read ({describe(error)}); check its permissions.") from error
     return [file for suffix in _VIDEO_SUFFIXES for file in sorted(files) if file.suffix.lower() == suffix]
 
 

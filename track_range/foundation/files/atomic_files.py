@@ -1,7 +1,7 @@
 """Atomic writing of files: write to a temporary file in the same folder, fsync, rename.
 
 A reader sees the complete old or the complete new content, however the program ends. File system errors are raised as
-OSError; callers convert them to their own error class with `describe`.
+OSError; callers convert them to their own error class with `writable`.
 """
 
 from __future__ import annotations
@@ -60,6 +60,15 @@ def write_bytes(path: Path, content: bytes, *, is_flushed: bool = True) -> None:
 def write_text(path: Path, text: str, *, is_flushed: bool = True) -> None:
     """Write a text file atomically, in UTF-8 with the line endings of `text`; see `atomic_path`."""
     write_bytes(path, text.encode("utf-8"), is_flushed=is_flushed)
+
+
+@contextmanager
+def writable(path: Path, error: type[Exception]) -> Iterator[None]:
+    """Context in which the operating system's errors become an `error` that names the file or folder to write."""
+    try:
+        yield
+    except OSError as reason:
+        raise error(f"{path}: cannot be written ({describe(reason)}); choose another place.") from reason
 
 
 def describe(error: OSError) -> str:

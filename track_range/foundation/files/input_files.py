@@ -60,11 +60,11 @@ def open_regular(path: Path, error: type[Exception], expected: str, *, max_bytes
 
 @contextmanager
 def readable(path: Path, error: type[Exception]) -> Iterator[None]:
-    """Context in which the operating system's errors become an `error` that names the file."""
+    """Context in which the operating system's errors become an `error` that names the file or folder to read."""
     try:
         yield
     except OSError as reason:
-        raise error(f"{path}: cannot be read ({describe(reason)}).") from reason
+        raise error(f"{path}: cannot be read ({describe(reason)}); check the disk and the permissions.") from reason
 
 
 def check_regular(path: Path, error: type[Exception], expected: str, *, max_bytes: int | None = None) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 
 from track_range.foundation.errors import UserError
 from track_range.foundation.files import atomic_files
-from track_range.foundation.files.atomic_files import describe
+from track_range.foundation.files.atomic_files import describe, writable
 from track_range.foundation.files.folder_lock import locked_folder
 
 
@@ -32,10 +32,8 @@ def write_json(path: Path | None, content: Mapping[str, Any], *, allow_nan: bool
 
 def write_bytes(path: Path, content: bytes) -> None:
     """Write a binary file atomically; raises OutputError if it cannot be written."""
-    try:
+    with writable(path, OutputError):
         atomic_files.write_bytes(path, content)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written ({describe(error)}).") from error
 
 
 def make_folder(folder: Path) -> None:

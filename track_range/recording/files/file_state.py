@@ -7,7 +7,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from track_range.foundation.files.input_files import open_regular
+from track_range.foundation.files.input_files import open_regular, readable
 from track_range.recording.frame import VideoError
 
 _N_SAMPLES, _SAMPLE_BYTES = 16, 4096  # samples by which contents are compared if the time of change differs
@@ -29,13 +29,11 @@ class FileState:
             status = os.fstat(file.fileno())
             step = (status.st_size if n_bytes is None else n_bytes) / _N_SAMPLES
             samples = []
-            try:
+            with readable(path, VideoError):
                 for number in range(_N_SAMPLES):
                     file.seek(int(number * step))
                     sample = file.read(min(_SAMPLE_BYTES, max(1, int(step))))
                     samples.append(hashlib.blake2b(sample, digest_size=_DIGEST_BYTES).digest())
-            except OSError as error:
-                raise VideoError(f"{path}: cannot be read ({error.strerror or error}); check the disk.") from error
         return cls(status.st_size, status.st_mtime_ns, tuple(samples))
 
     def check_unchanged(self, path: Path) -> None:

@@ -21,9 +21,8 @@ from typing import NamedTuple
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.files.atomic_files import describe
 from track_range.foundation.files.images import IMAGE_SUFFIXES
-from track_range.foundation.files.input_files import MAX_TEXT_BYTES, counted, read_text
+from track_range.foundation.files.input_files import MAX_TEXT_BYTES, counted, read_text, readable
 from track_range.recording.frame import VideoError
 from track_range.recording.names import is_pattern, matching_files
 
@@ -64,10 +63,8 @@ def named_images(folder: Path) -> NamedImages:
 
     Times are those of a file beside the images (timestamps.txt, times.txt, data.csv), else those in the names.
     """
-    try:
+    with readable(folder, VideoError):
         files = matching_files(folder) if is_pattern(folder) else list(folder.iterdir())
-    except OSError as error:
-        raise VideoError(f"{folder}: the folder cannot be read ({describe(error)}); check its permissions.") from error
     files = [file for file in files if file.suffix.lower() in IMAGE_SUFFIXES and file.name[0] != "."]
     files = [file for file in files if re.search(r"\d", file.stem)]
     if not files:

@@ -11,9 +11,8 @@ from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing, suppress
 from pathlib import Path
 
-from track_range.foundation.files.atomic_files import describe
 from track_range.foundation.files.images import IMAGE_SUFFIXES
-from track_range.foundation.files.input_files import counted
+from track_range.foundation.files.input_files import counted, readable
 from track_range.recording.bags.bag import is_bag
 from track_range.recording.files.file_state import FileState
 from track_range.recording.files.video_file import VideoFile, VideoHeader, compressed_frames, count_packets
@@ -263,10 +262,8 @@ def segment_files(name: Path | Segments) -> list[Path] | None:
 
 def _videos_in(name: Path) -> list[Path] | None:
     """The video files of a folder; None if there are none. See `segment_files` for the errors."""
-    try:
+    with readable(name, VideoError):
         files = sorted(path for path in name.iterdir() if path.name[0] != ".")
-    except OSError as error:
-        raise VideoError(f"{name}: the folder cannot be read ({describe(error)}); check its permissions.") from error
     videos = [path for path in files if path.suffix.lower() in VIDEO_SUFFIXES and path.is_file()]
     if (name / "settings.yaml").exists():  # results of a run in the folder of its input
         videos = [path for path in videos if path.name not in _RESULT_VIDEOS]

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from track_range.foundation.errors import UserError
-from track_range.foundation.files.atomic_files import atomic_path, describe
+from track_range.foundation.files.atomic_files import atomic_path, describe, writable
 from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, check_regular, first_line, quoted, shortened
 from track_range.foundation.files.numeric_text import number
@@ -88,10 +88,8 @@ class EventFiles:
 
     def __init__(self, folder: Path, metadata: Mapping[str, str]) -> None:
         self._folder, self._metadata = folder, metadata
-        try:
+        with writable(folder / EVENTS_FILE, OutputError):
             self._rows = RowFile(folder / EVENTS_FILE, events_text(()))
-        except OSError as error:
-            raise OutputError(f"{folder / EVENTS_FILE}: cannot be created ({describe(error)}).") from error
 
     def __enter__(self) -> EventFiles:
         return self
@@ -124,11 +122,8 @@ def write_events_parquet(path: Path, events: Sequence[Event], metadata: Mapping[
     """Write events as Parquet, atomically, the same bytes each time; OutputError if the file cannot be written."""
     from pyarrow import parquet
 
-    try:
-        with atomic_path(path, is_flushed=False) as partial:
-            parquet.write_table(events_table(events, metadata), partial, compression="zstd")
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written ({describe(error)}).") from error
+    with writable(path, OutputError), atomic_path(path, is_flushed=False) as partial:
+        parquet.write_table(events_table(events, metadata), partial, compression="zstd")
 
 
 def events_text(events: Iterable[Event]) -> str:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from track_range.foundation.files.atomic_files import atomic_path, describe
+from track_range.foundation.files.atomic_files import atomic_path, writable
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, check_regular, shortened
 from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.schema_version import check_schema_version
@@ -84,11 +84,8 @@ class ParquetWriter:
 
 def write_table(path: Path, table: pa.Table) -> None:
     """Write rows in full precision and metadata as tracks.parquet, the same bytes; OutputError if this fails."""
-    try:
-        with atomic_path(path, is_flushed=False) as partial:
-            _write_batches(partial, table.schema, table.to_batches())
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written ({describe(error)}).") from error
+    with writable(path, OutputError), atomic_path(path, is_flushed=False) as partial:
+        _write_batches(partial, table.schema, table.to_batches())
 
 
 def _write_batches(path: Path, schema: pa.Schema, batches: Iterable[pa.RecordBatch]) -> None:

@@ -20,7 +20,7 @@ from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import LABEL_FORMATS, LabelFormat, label_format_of
 from track_range.detection.formats.video_labels.yolo_tracks import DATA_YAML, WRITTEN_MARK
 from track_range.foundation.errors import UsageError
-from track_range.foundation.files.atomic_files import atomic_path, describe, write_bytes
+from track_range.foundation.files.atomic_files import atomic_path, writable, write_bytes
 from track_range.foundation.files.folder_lock import is_locked
 from track_range.foundation.files.output_files import OutputError, make_folder
 from track_range.foundation.options import Options, option
@@ -238,10 +238,8 @@ def _start_utc_s(columns: Columns) -> float | None:
 def _output(out: Path) -> Iterator[None]:
     """Context in which `out` is written, in a folder that is created; OutputError if it cannot be written."""
     make_folder(out.parent)
-    try:
+    with writable(out, OutputError):
         yield
-    except OSError as error:
-        raise OutputError(f"{out}: cannot be written ({describe(error)}).") from error
 
 
 @contextmanager
