@@ -27,7 +27,6 @@ class Assignment:
     """Pairs of N tracks and M detections, collected in stages; each stage matches what earlier ones left unmatched."""
 
     def __init__(self, n_tracks: int, n_detections: int) -> None:
-        """Start without pairs."""
         self._stages: list[tuple[IntArray, IntArray]] = []
         self._n_left = min(n_tracks, n_detections)
 

@@ -49,7 +49,6 @@ class PaperFilter:
     """The filter of Zhang et al. for all tracks of a video; sigmas of the measurements are not used."""
 
     def __init__(self) -> None:
-        """Start without tracks."""
         self._tracks: dict[int, _Track] = {}
 
     def update(self, measured: Ranges, time_s: float, *, ego_speed_mps: float = math.nan) -> FilteredRanges:

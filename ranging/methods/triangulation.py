@@ -74,7 +74,6 @@ class TrackMatcher:
     """
 
     def __init__(self, matcher: BoxMatcher) -> None:
-        """Create a matcher of tracks from a matcher of boxes."""
         # of the observed boxes in the last frame with a right image; None = none yet
         self.matches: PatchMatches | None = None
         self._matcher = matcher

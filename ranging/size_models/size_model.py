@@ -60,7 +60,6 @@ class DriveState:
     """State of one drive."""
 
     def __init__(self) -> None:
-        """Start without objects."""
         self._tracks: TrackState | None = None
         self._track_id: IntArray = np.zeros(0, np.int64)
         self._in_view: FloatArray = np.zeros((_BODIES, 0))  # states of these tracks before the frame

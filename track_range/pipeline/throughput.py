@@ -30,7 +30,6 @@ class StageClock:
     """
 
     def __init__(self) -> None:
-        """Start at zero."""
         self.busy_s = dict.fromkeys(stage_names(), 0.0)  # seconds so far, by stage
         self._lock = Lock()
 
