@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from glob import glob, has_magic
@@ -100,6 +101,11 @@ def is_pattern(path: Path) -> bool:
 def matching_files(pattern: Path) -> list[Path]:
     """Files that match a pattern, sorted by name."""
     return sorted(Path(name) for name in glob(str(pattern)))
+
+
+def natural_key(name: str) -> list[tuple[int, int, str]]:
+    """Sorting key in which numbers are compared by value: clip2 < clip10."""
+    return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in re.split(r"(\d+)", name) if part]
 
 
 def files_of(name: VideoName) -> list[Path]:

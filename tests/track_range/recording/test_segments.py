@@ -14,16 +14,10 @@ from hypothesis import given, settings, strategies as st
 
 from track_range.foundation.errors import UsageError
 from track_range.recording.frame import VideoError
-from track_range.recording.names import Segments
+from track_range.recording.names import Segments, natural_key
 from track_range.recording.open_video import open_video
 from track_range.recording.pairs.recorded_pair import RecordedPair
-from track_range.recording.segments.segment_times import (
-    SegmentFacts,
-    SegmentPlan,
-    arranged,
-    natural_key,
-    paired_starts_s,
-)
+from track_range.recording.segments.segment_times import SegmentFacts, SegmentPlan, arranged, paired_starts_s
 from track_range.recording.utc import Stamp, stamp_in_name
 from track_range.run.settings_files import save_settings, settings_from
 

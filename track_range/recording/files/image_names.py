@@ -24,7 +24,7 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.files.images import IMAGE_SUFFIXES
 from track_range.foundation.files.input_files import MAX_TEXT_BYTES, counted, read_text, readable
 from track_range.recording.frame import VideoError
-from track_range.recording.names import is_pattern, matching_files
+from track_range.recording.names import is_pattern, matching_files, natural_key
 
 _DATE = re.compile(
     r"(?<!\d)((?:19|20)\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])[-_.T ]{0,3}"
@@ -79,7 +79,7 @@ def named_images(folder: Path) -> NamedImages:
             f"{folder}: the images of two cameras; those of the left one are used ({files[0].name}, not "
             f"{right_files[0].name}); --stereo {folder} uses both."
         )
-    files = sorted(files, key=lambda file: (_fields(file.stem), file.name))
+    files = sorted(files, key=lambda file: (natural_key(file.stem), file.name))
     times_s = _times_in_names([file.stem for file in files])
     if times_s is not None:
         order = np.argsort(times_s, kind="stable")
@@ -122,12 +122,6 @@ def _sides_in(files: Sequence[Path]) -> dict[str, list[Path]] | None:
         if len(halves) == 2 and len(remaining[0] & remaining[1]) > min(map(len, remaining)) / 2:
             return halves
     return None
-
-
-def _fields(stem: str) -> tuple[tuple[int, int, str], ...]:
-    """Texts and numbers of a name, so that names are sorted in natural order."""
-    parts = re.split(r"(\d+)", stem)
-    return tuple((1, int(part[:400]), "") if part.isdecimal() else (0, 0, part) for part in parts)
 
 
 def _numbered(files: Sequence[Path], folder: Path, notes: list[str]) -> list[tuple[int, Path]]:

@@ -17,6 +17,7 @@ from pathlib import Path
 
 from track_range.foundation.files.input_files import counted
 from track_range.recording.frame import VideoError
+from track_range.recording.names import natural_key
 from track_range.recording.utc import STAMP_RESOLUTION_S, Stamp, UtcStart, start_of
 
 _TOLERANCE_S = 1.5 * STAMP_RESOLUTION_S  # gap that times with a resolution of 1 s prove, with the error of durations
@@ -126,11 +127,6 @@ def paired_starts_s(plan: SegmentPlan, left: SegmentPlan) -> tuple[float, ...]:
                 "headers; give the files that belong together, as in --stereo L1 R1 --stereo L2 R2."
             )
     return plan.starts_s
-
-
-def natural_key(name: str) -> list[tuple[int, int, str]]:
-    """Sorting key in which numbers are compared by value: clip2 < clip10."""
-    return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in re.split(r"(\d+)", name) if part]
 
 
 def _dated_starts_s(
