@@ -338,14 +338,12 @@ def _sizes(shapes: Sequence[Shape]) -> str:
     return shortened(" and ".join(f"{columns}x{rows}x{channels}" for channels, rows, columns in shapes))
 
 
-_PLAIN_CONVOLUTION = {
+_PLAIN_CONVOLUTION = {  # Darknet's defaults; other values would change the weights file or the arithmetic
     **dict.fromkeys("antialiasing assisted_excitation binary cbn coordconv deform dontload dontloadscales".split(), 0),
     **dict.fromkeys("bin_output flipped rotate stretch stretch_sway sway xnor".split(), 0),
     "dilation": 1,
     "share_index": -1_000_000_000,
 }
-"""Darknet's defaults of unsupported options, which would change the weights file or the arithmetic."""
-
 _READERS: Mapping[str, Callable[[CfgSection, _Trunk], Layer]] = {
     "convolutional": _convolution,
     "maxpool": _max_pool,

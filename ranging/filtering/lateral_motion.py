@@ -35,15 +35,8 @@ _INITIAL_RATE_SIGMA_MPS = 5.0  # standard deviation of u for a new track: latera
 _ACCELERATION_NOISE = 0.7  # random walk of u in m/s per square root of a second, tuned on simulated drives
 _CENTRE_SIGMA_PX, _CENTRE_SIGMA_FRACTION = 1.0, 0.02  # of a box centre: px, plus a fraction of the box width
 _GATE_SIGMA = 5.0  # gate in standard deviations of the innovation; measurements outside are ignored
-
-_OUTSIDE_S, _MAX_GAP_S = 0.25, 1.0
-"""Time in s without a measurement inside the gate after which one outside restarts the track's filter, and without any
-measurement after which the filter restarts."""
-
-_BORDER_PX, _BORDER_FRACTION = 2.0, 0.1
-"""Distance from the left or right image border within which a box counts as cut by it: px, plus a fraction of the
-height of the box, since the edges of detected boxes are uncertain."""
-
+_OUTSIDE_S, _MAX_GAP_S = 0.25, 1.0  # without a measurement inside the gate, or any, after which a filter restarts
+_BORDER_PX, _BORDER_FRACTION = 2.0, 0.1  # from the border of a box that it cuts: px, plus a fraction of its height
 _LEAST_WIDTH_FRACTION = 0.8  # of the smallest width of its class; in a narrower box, a part of the object is hidden
 _SIZES_M = {  # typical length and smallest width of each class, m
     "person": (0.3, 0.4),

@@ -44,17 +44,13 @@ REAR_VIEW_RAD, REAR_VIEW_M = 0.25, 10.0  # largest difference of alpha from -pi/
 _RRC_TYPE: Mapping[str, str] = {"Car": "Car", "Pedestrian": "Pedestrian"}  # KITTI type by folder of RRC detections
 _MIN_SIZE_PX = 1.0  # smallest width and height of a box after noise was added
 _OBJECT_COLUMNS = (15, 16)  # of KITTI object labels, without and with a score; tracking labels have 17 or 18
-
-_IMAGE_SIZE_PX: Mapping[float, tuple[int, int]] = {
+_IMAGE_SIZE_PX: Mapping[float, tuple[int, int]] = {  # KITTI, 26, 28, 29, 30 September, 3 October 2011, by focal length
     721.5377: (1242, 375),
     707.0493: (1224, 370),
     718.3351: (1238, 374),
     707.0912: (1226, 370),
     718.856: (1241, 376),
 }
-"""Width and height of the rectified images by focal length, of KITTI's recordings on 26, 28, 29 and 30 September and
-3 October 2011: its calibration files do not contain them."""
-
 _MAX_FOCAL_DIFFERENCE_PX = 1e-3  # largest difference of focal lengths that count as equal
 _OBJECT_GROUPS = 10  # number of groups of images that serve as sequences for object labels, which have none
 

@@ -75,10 +75,8 @@ _KNOWN_BIAS_VARIANCE = 0.3  # variance of a size method's u below which its scal
 class ScaleSource(IntEnum):
     """Origin of the scale of a fused distance."""
 
-    ASSUMED = 0
-    """Assumed sizes of classes, camera height or lane width."""
-    REFERENCE = 1
-    """A scale reference, such as a calibrated stereo pair, directly or through biases learnt from it."""
+    ASSUMED = 0  # assumed sizes of classes, camera height or lane width
+    REFERENCE = 1  # a scale reference, such as a calibrated pair, directly or through biases learnt from it
 
 
 @dataclass(frozen=True, slots=True)

@@ -90,9 +90,7 @@ _MEASURABLE_SIGMA = 0.25  # of the prior where a calibrated pair measures the wi
 _MAX_DEVIATION = 3.0  # of a width by sizes from the prior, in sigmas; more is not the width of a lane
 _HILL_RAD = 0.004  # error of the row in which the lines meet, by hills and the fit: 0.001 to 0.006 on real roads
 _ROAD_SIGMA = 0.01  # relative standard deviation of w from uneven roads and varying lane widths
-
-_Widths = tuple[FloatArray, FloatArray, BoolArray]
-"""(N,) lane width w in px in the rows of the bottom edges, its relative sigma, and whether the track can be ranged."""
+_Widths = tuple[FloatArray, FloatArray, BoolArray]  # (N,) w in px at bottom edges, relative sigma, whether usable
 
 
 class LaneWidthRanger(Ranger):

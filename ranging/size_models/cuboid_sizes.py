@@ -41,10 +41,7 @@ _CALIBRATION, _ONE_BODY_CALIBRATION = 0.92, 0.85
 """Factors of sigma for classes with several body types and with one: the larger of the two widths is on average too
 wide. Cross-validated on KITTI, so that 60-76 % of distances are within one sigma, and at least 93 % within two."""
 
-_USUAL_CHI2 = 6.0
-"""Squared deviation of a box from the usual sizes and yaws of its class, 95 % of boxes have less; that of more unusual
-ones shows that the class is wrong, or that the box is not that of the whole object, and scales the variance."""
-
+_USUAL_CHI2 = 6.0  # of 95 % of boxes, from the usual sizes and yaws of their class; larger ones scale the variance
 _MIN_SYSTEMATIC = 1e-4  # smallest systematic fraction of the variance: the size of an object is never known exactly
 _MIN_SIGMA = 0.01  # smallest relative standard deviation of a distance
 

@@ -32,12 +32,11 @@ class CurveError(UserError):
     """A curve file that cannot be used, or labels to which no curve can be fitted; the message gives the reason."""
 
 
-_MODELS: Mapping[str, tuple[type[BaseModel], Callable[[Any], StoredSizeModel]]] = {
+_MODELS: Mapping[str, tuple[type[BaseModel], Callable[[Any], StoredSizeModel]]] = {  # content, and size model from it
     cuboid_sizes.KIND: (cuboid_sizes.CuboidFile, cuboid_sizes.cuboids_in),
     log_linear.KIND: (log_linear.LogLinearFile, log_linear.log_linear_in),
     plain_curves.KIND: (plain_curves.TableFile, plain_curves.tables_in),
 }
-"""Content of each kind of curve file, and the function from the content to the size model."""
 
 
 class _CurveFile(BaseModel):

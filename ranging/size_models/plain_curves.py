@@ -26,15 +26,9 @@ from track_range.foundation.arrays import FloatArray
 from track_range.foundation.validation import Integer, Number
 from track_range.ranging.size_models import size_model
 
-Measure = Callable[[FloatArray], FloatArray]
-"""Function from (N, 2) width and height divided by the focal length to (N,) box measure s, the argument of a curve."""
-
-Curve = Callable[[FloatArray, FloatArray], FloatArray]
-"""Fitted curve: (N,) distance in m, from (N, 2) width and height divided by the focal length and (N,) tan bearing."""
-
-CurveFitter = Callable[[FloatArray, FloatArray, FloatArray], Curve]
-"""Function that fits a curve to (N, 2) sizes divided by the focal length, (N,) tan bearing and (N,) distance in m."""
-
+Measure = Callable[[FloatArray], FloatArray]  # (N, 2) width and height / f -> (N,) box measure s, a curve's argument
+Curve = Callable[[FloatArray, FloatArray], FloatArray]  # (N, 2) sizes / f, (N,) tan bearing -> (N,) distance, m
+CurveFitter = Callable[[FloatArray, FloatArray, FloatArray], Curve]  # (N, 2) sizes / f, tan bearing, distance -> curve
 _TABLE_SIZE = 64  # number of nodes of a table
 
 

@@ -280,11 +280,9 @@ def _by_class(values: dict[str, float]) -> FloatArray:
 _NARROW_M = _by_class(  # offsets in m for boxes with an aspect ratio up to 1.5 (rear view), medians over KITTI's labels
     {"person": 0.05, "bicycle": 0.15, "motorcycle": 0.15, "car": 0.03, "van": 0.03, "truck": 0.03, "bus": 0.03}
 )
-_WIDE_M = _by_class(
+_WIDE_M = _by_class(  # the same for boxes with an aspect ratio of 2.2 or more (side view)
     {"person": 0.05, "bicycle": 0.3, "motorcycle": 0.3, "car": 0.45, "van": 0.55, "truck": 1.5, "bus": 1.5}
 )
-"""Offsets in m for boxes with an aspect ratio of 2.2 or more (side view), medians over KITTI's labels."""
-
 _DIFFERENCE_M = _WIDE_M - _NARROW_M
 
 

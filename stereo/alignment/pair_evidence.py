@@ -24,9 +24,7 @@ from track_range.stereo.alignment.model import RightView, fit_right_view
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import grey
 
-Arrangement = Literal["equal", "turned", "mirrored", "flipped"]
-"""The right image relative to the left one: turned by 180 degrees, mirrored left to right, or upside down."""
-
+Arrangement = Literal["equal", "turned", "mirrored", "flipped"]  # of the right image relative to the left one
 _MAX_WIDTH_PX = 1400  # wider images are reduced by a whole factor
 _N_FEATURES = 700  # number of features in each half of an image, the upper and the lower one
 _MAX_RATIO = 0.85  # largest ratio of the distances of the best and the second best match (Lowe 2004)

@@ -26,9 +26,7 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.lenses import KANNALA_BRANDT, distorted_angle
 from track_range.stereo.geometry.rig import StereoRig, rigid_motion
 
-Residuals = Callable[[FloatArray, FloatArray], FloatArray]
-"""(R,) residuals of common parameters (C,) and of the views' parameters (V, P), ordered by view."""
-
+Residuals = Callable[[FloatArray, FloatArray], FloatArray]  # (R,) of parameters: common (C,), by view (V, P)
 _STEP = 1e-6  # relative step of the differences, at least as large as for a parameter of 1e-3
 _FIRST_DAMPING = 1e-3
 _LARGEST_DAMPING = 1e8  # above it, the minimum is reached

@@ -14,11 +14,7 @@ from track_range.foundation.arrays import Image
 from track_range.foundation.errors import UserError
 
 TIME_EPSILON_S = 1e-6  # times closer than this are equal: below frame intervals, above the rounding of a float64
-
-_NEUTRAL_DIFFERENCE, _NEUTRAL_FRACTION = 8, 0.999
-"""Largest difference between the channels of a grey pixel, in grey levels, and smallest fraction of such pixels in an
-image without colour, which is assumed; lossy chroma of grey videos differs by 1 to 3."""
-
+_NEUTRAL_DIFFERENCE, _NEUTRAL_FRACTION = 8, 0.999  # grey levels (lossy chroma: 1 to 3); fraction of such pixels
 UPRIGHT = (1, 0, 0, 1)  # axes of an image that needs no rotation
 _reformatters = threading.local()  # one converter of colours per thread, whose buffers are reused
 

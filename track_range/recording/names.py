@@ -43,9 +43,7 @@ REVERSED: tuple[PackedLayout, ...] = ("right-left", "bottom-top")  # the right c
 StereoLayout = Literal[PackedLayout, "tracks"]  # the same, or in two video tracks of a recording
 
 LayoutOption = Literal["auto", StereoLayout]
-
-Bayer = Literal["rggb", "bggr", "gbrg", "grbg"]
-"""Colours of the first two pixels of the first two rows of an image behind a Bayer filter."""
+Bayer = Literal["rggb", "bggr", "gbrg", "grbg"]  # colours of the first two pixels of the first two rows
 
 
 @dataclass(frozen=True, slots=True)

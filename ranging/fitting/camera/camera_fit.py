@@ -60,11 +60,7 @@ _STANDS = np.isin(SIZE_CLASSES, ("person", "bicycle", "car", "motorcycle", "bus"
 """(size classes,) whether objects of the class are on the road."""
 
 _MIN_HEIGHT_PX = 12.0  # height of a box of the scene below which it is not used
-
-_MAX_DEVIATION = 2.0
-"""Root mean square of the deviations of measurements and priors, in standard deviations per measurement, above which
-they contradict each other; below, it hardly differs from chance with few measurements."""
-
+_MAX_DEVIATION = 2.0  # rms of the deviations in sigmas, above which measurements and priors contradict each other
 _N_REWEIGHTS = 2  # number of fits with updated standard deviations of the scene
 _MAX_SLOPE_RATIO = 2.0  # largest factor between the inverse depth by size and by the fitted road in these sigmas
 _N_GRID = 13  # number of focal lengths at which distances by size are computed, for interpolation

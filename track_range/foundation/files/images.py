@@ -21,11 +21,7 @@ from track_range.foundation.files.input_files import open_regular
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm"})  # in lower case
 MAX_SIDE_PX = 16_384  # largest width and height of an image; the widest panoramic cameras have about 12,000 px
 MAX_PIXELS = 2**26  # largest number of pixels of an image: 8192x8192, of which 8-bit BGR takes 200 MB
-
-_MAX_PIXEL_BYTES, _MAX_EXTRA_BYTES = 16, 2**26
-"""Largest number of stored bytes per pixel, four channels of 32 bits, and of bytes besides them: metadata, thumbnails,
-and films that phones append to photographs."""
-
+_MAX_PIXEL_BYTES, _MAX_EXTRA_BYTES = 16, 2**26  # stored bytes per pixel; of metadata, thumbnails and films
 _MAX_HEADER_FIELDS, _MAX_SKIPPED_BYTES = 4096, 65_536  # segments or tags until the size, bytes between segments
 _PNG_START = b"\x89PNG\r\n\x1a\n"
 

@@ -41,12 +41,8 @@ _CODEC_CROP_PX = 2  # tolerated difference in size of left and right: codecs nee
 _MAX_ASPECT_ERROR = 0.1  # largest relative difference of pixel aspects that is not worth a note
 
 Video = RecordedVideo | LiveVideo  # a source of the images of one camera
-
-Sizes = tuple[tuple[int, int], ...]
-"""(width, height) of the recorded images of the left or only camera, and of the right one."""
-
-CalibrationKind = Literal["rig", "focal length", "estimated"]
-"""Source of the metric scale: a file, a given focal length, or the sizes of road users."""
+Sizes = tuple[tuple[int, int], ...]  # (width, height) of recorded images: of the left or only camera, of the right one
+CalibrationKind = Literal["rig", "focal length", "estimated"]  # a file, a given length, or the sizes of road users
 
 
 @dataclass(frozen=True, slots=True)

@@ -393,14 +393,12 @@ def _display_axes(frame: av.VideoFrame) -> tuple[int, int, int, int]:
     return (a, b, c, d) if is_right_angle else UPRIGHT
 
 
-_STEREO_3D: dict[tuple[int, int], StereoLayout] = {
+_STEREO_3D: dict[tuple[int, int], StereoLayout] = {  # by the type and the flag `inverted` of FFmpeg's AVStereo3D
     (1, 0): "side-by-side",
     (1, 1): "right-left",
     (2, 0): "top-bottom",
     (2, 1): "bottom-top",
 }
-"""Layouts by the type and the flag `inverted` of FFmpeg's AVStereo3D, from the frame packing of H.264 and HEVC, the
-StereoMode of Matroska, and the boxes st3d and vexu of MP4."""
 
 
 def _stated_layout(frame: av.VideoFrame) -> StereoLayout | None:

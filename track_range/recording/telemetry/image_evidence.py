@@ -33,19 +33,9 @@ seeds 1 and 2, and queue, seed 2) have the same errors as with ten, and at most 
 
 _MIN_PAIRS = 20  # for an estimate of the time offset; with fewer key frames, all frames are decoded
 _MAX_GROUP_S = 1.5  # longest time between two key frames with which only pairs are decoded, s
-
-_MAX_DECODED_PX, _MIN_DECODED = 250e6, 60
-"""Largest number of pixels to decode before a run, which takes about 1.5 s, and number of frames that are decoded
-anyway."""
-
-_CLAIMED_MPS, _STANDING_MPS = 3.0, 0.3
-"""Speed in m/s that a camera at rest cannot have, below which receivers state noise of cars that stand, and largest one
-that telemetry states for a car at rest."""
-
-_MIN_STILL, _MAX_CONTRADICTED = 10, 0.5
-"""Number of images at rest, 1 s, from which telemetry can contradict them, and largest fraction of them for which it
-states a motion: most errors of the measurement are single."""
-
+_MAX_DECODED_PX, _MIN_DECODED = 250e6, 60  # pixels to decode before a run, about 1.5 s; frames that are decoded anyway
+_CLAIMED_MPS, _STANDING_MPS = 3.0, 0.3  # speed that a camera at rest cannot have; largest stated of a car at rest
+_MIN_STILL, _MAX_CONTRADICTED = 10, 0.5  # images at rest (1 s) that can contradict; fraction with a stated motion
 _MOVING_HZ = 0.2  # expansion of images that only a moving camera has, 1/s: 2 m/s at a typical depth of 10 m
 
 

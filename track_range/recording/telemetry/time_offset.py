@@ -98,8 +98,7 @@ def _course_rate(time_s: FloatArray, speed_mps: FloatArray, course_rad: FloatArr
     return (t[1:] + t[:-1]) / 2, change / np.diff(t)
 
 
-_Likelihood = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
-"""(N,) times, (N,) image motion and (G, N) telemetry by offset -> (G,) log likelihood."""
+_Likelihood = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]  # times, motion (N,), telemetry (G, N) -> (G,)
 
 
 def _fit(

@@ -15,10 +15,7 @@ from track_range.foundation.errors import UserError
 from track_range.foundation.files.output_files import write_text
 
 Clock = Literal["video", "utc", "local"]  # seconds from the first frame of the video, or since 1970
-GPS_SPEED_SIGMA_MPS = 0.2
-"""Standard deviation of the speed over ground of GPS receivers in m/s, which they derive from the Doppler shift;
-datasheets of u-blox's M8 to M10 state 0.05 m/s at the median, and dashcams round to 1 km/h or 0.1 kn."""
-
+GPS_SPEED_SIGMA_MPS = 0.2  # Doppler: 0.05 in u-blox's datasheets (median); dashcams round to 1 km/h or 0.1 kn
 COLUMNS = ("time_s", "speed_mps", "course_rad", "latitude_deg", "longitude_deg", "utc_s")  # per sample
 TELEMETRY_FILE = "telemetry.csv"  # positions, speeds and courses in the folder of a run, written only with --keep-gps
 MAX_SIDECAR_BYTES = 100_000_000  # size limit of a file beside a video; a day of NMEA sentences at 10 Hz has 60 MB

@@ -59,8 +59,7 @@ _TOWN = Surroundings(
     dash_m=(4.0, 12.0),
     side="houses",
 )
-
-SURROUNDINGS = {
+SURROUNDINGS = {  # the kinds of roads by name
     "town": _TOWN,
     "city": replace(
         _TOWN,
@@ -102,4 +101,3 @@ SURROUNDINGS = {
         texels_per_m=32,
     ),
 }
-"""The kinds of roads by name."""

@@ -23,15 +23,9 @@ HEAD_FRACTION = 0.22  # head with neck / height of a person; 0.155 of the body, 
 ABOVE_PERSON = 0.15  # head region above a person's box / height: boxes of the packaged detector may begin lower
 STANDING_RATIO = 2.2  # smallest height / width of a box that shows more than the upper body
 RIDER_FRACTION = 0.36  # of a box of a bicycle or motorcycle, from its top: the rider's head region
-ABOVE_BICYCLE, ABOVE_MOTORCYCLE = 0.75, 0.5
-"""Height of the rider's head region above the box of a bicycle or motorcycle, relative to the box: a rider is 1.75
-times as high as a bicycle, and 1.45 times as high as a motorcycle."""
-
+ABOVE_BICYCLE, ABOVE_MOTORCYCLE = 0.75, 0.5  # the rider's head region above the box, of the box's height
 PLATE_FROM, LARGE_VEHICLE_PLATE_FROM, PLATE_TO = 0.42, 0.5, 0.96  # of the box height from the top
-FRONTAL_RATIO, FRONTAL_SIDE = 1.2, 0.12
-"""Ratio of width to height below which a car is seen from the front or rear, and fraction of the width at each side
-where it then has no plate."""
-
+FRONTAL_RATIO, FRONTAL_SIDE = 1.2, 0.12  # width / height of a car from front or rear; its sides have no plate then
 MARGIN_FRACTION, MARGIN_PX = 0.05, 1.5  # tolerance of the edges of a box: fraction of the smaller side, and pixels
 HEAD_CELL = 0.05  # cell / height of a person: about 3 cells over the height of a head, 2 over its width
 PLATE_CELL, LARGE_VEHICLE_PLATE_CELL = 0.12, 0.08  # cell / height of a vehicle: at most 3 x 1 cells on a plate

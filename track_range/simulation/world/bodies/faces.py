@@ -26,20 +26,14 @@ Extent = tuple[float, float, float, float, float, float]  # limits of x, height 
 ALL_SIDES = ("back", "front", "left", "right", "top")
 SUN = {"back": 0.95, "front": 0.9, "left": 0.78, "right": 1.05, "top": 1.2}  # brightness of the sides of a box
 N_PRISM_SIDES = 8  # number of sides of the prisms that approximate round bodies
-
-LIGHT_MEAN, LIGHT_ALONG, LIGHT_DOWN, LIGHT_LEFT = 0.92, -0.02, -0.28, -0.2
-"""Brightness of a slanted side: the mean, and what its outward normal's x, y and z add; similar to `SUN`."""
-
+LIGHT_MEAN, LIGHT_ALONG, LIGHT_DOWN, LIGHT_LEFT = 0.92, -0.02, -0.28, -0.2  # mean, and by x, y, z of the outward normal
 SHADOW_TEXELS_PER_M = 12  # resolution of the shadow's texture
 SHADOW_MARGIN_M = 0.6  # margin of the texture for the soft edge
 SHADOW_CAST = 0.45  # length of the cast shadow, to the left, relative to the body's height
 UNDER, BESIDE = 205, 105  # darkness of the shadow below the body and of the cast shadow, 0 to 255
 
 RECESS_M = 0.001  # depth of a plate below the surface that it is cut out of, so that it is inside the 3-D box
-
-MARGIN_TEXELS = 4
-"""Width of the strip of the body around a plate that belongs to the plate's face and closes gaps at the edge of the
-hole, whose resolution in the image may differ from that of the plate."""
+MARGIN_TEXELS = 4  # strip of the body around a plate, on its face, which closes gaps at the edge of the hole
 
 
 class IdentifyingPart(IntEnum):
