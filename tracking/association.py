@@ -17,9 +17,11 @@ from scipy.optimize import linear_sum_assignment
 from track_range.detection.boxes import iou
 from track_range.detection.classes import SAME_OBJECT_GROUP
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.tracking.motion import BoxFilters, MotionNoise, cxcywh
 
 Classes = Literal["similar", "same", "any"]  # similar: confused by detectors
 _UNRELATED_COST = 0.95  # 1 - IoU above which a track and a detection are not candidates for each other
+_GROWTH = 0.5  # standard deviation of the relative growth of a box, 1/s
 _MAX_DENSE = 128 * 128  # size up to which one assignment is faster than matching unambiguous pairs first
 
 
@@ -89,6 +91,20 @@ def iou_cost(track_xyxy_px: FloatArray, detected_xyxy_px: FloatArray, *, margin:
     if margin:
         track_xyxy_px, detected_xyxy_px = widened(track_xyxy_px, margin), widened(detected_xyxy_px, margin)
     return 1.0 - iou(track_xyxy_px, detected_xyxy_px)
+
+
+def distance_cost(filters: BoxFilters, detected_xyxy_px: FloatArray, step_s: float, noise: MotionNoise) -> FloatArray:
+    """(N, M) squared Mahalanobis distances of boxes (M, 4) from the predictions of N filters, `step_s` after a frame.
+
+    For objects that move by more than their width from frame to frame, with y the difference of the centres:
+        d^2 = (y_x^2 + y_y^2) / S + log(h / h')^2 / (2 r^2 + (growth step)^2)        chi-square distributed, 3 degrees
+    """
+    box = cxcywh(detected_xyxy_px)
+    y = box[None, :, :2] - filters.x[:, None, :2]
+    S = filters.P_xx + (noise.measured * filters.height_px) ** 2
+    log_height = np.log(box[None, :, 3] / np.maximum(filters.x[:, None, 3], 1.0))
+    size_variance = 2 * noise.measured**2 + (_GROWTH * step_s) ** 2
+    return np.asarray((y**2).sum(axis=2) / S[:, None] + log_height**2 / size_variance)
 
 
 def widened(xyxy_px: FloatArray, margin: float) -> FloatArray:

@@ -3,7 +3,8 @@
     1. predict           the motion filters predict all tracks, compensated for camera motion; dead tracks are deleted
     2. associate         high-confidence detections - confirmed tracks   appearance within the motion gate, then IoU
                          low-confidence detections - confirmed tracks    IoU
-                         high-confidence detections - tentative tracks   IoU of widened boxes
+                         high-confidence detections - tentative tracks   IoU of widened boxes; at low frame rates
+                                                                         distance and size before
     3. update matched    tracks get their detections; tentative ones are confirmed
     4. initiate          unmatched high-confidence detections become tentative tracks
     5. output            confirmed tracks, with detected boxes, or predicted ones for a short time
@@ -29,7 +30,7 @@ from track_range.foundation.sparse_flow import BackgroundFlow
 from track_range.tracking import history, motion
 from track_range.tracking.appearance.embeddings import ColourLayout
 from track_range.tracking.appearance.gallery import unit_rows
-from track_range.tracking.association import Assignment, Classes, are_compatible, iou_cost
+from track_range.tracking.association import Assignment, Classes, are_compatible, distance_cost, iou_cost
 from track_range.tracking.camera_motion import CameraMotion
 from track_range.tracking.confidence_threshold import ConfidenceThreshold, ConfidenceThresholdSettings
 from track_range.tracking.history import PredictionGates
@@ -67,6 +68,8 @@ class DeepSortSettings:
     min_iou_low_confidence: float = 0.5  # the same of a low-confidence detection; stricter
     min_iou_tentative: float = 0.3  # minimum IoU of a high-confidence detection and a tentative track, both widened
     tentative_margin: float = 0.3  # widening / box size, because the speed of a new track is unknown
+    min_distance_step_s: float = 0.15  # time between two frames from which tracks are matched by distance and size
+    max_distance: float = 11.3  # largest squared Mahalanobis distance there: 99 % at 3 degrees of freedom
     n_init: int = 2  # detections, one per frame, that confirm a tentative track
     init_score_sum: float = 1.5  # minimum sum of their scores; not used with `n_init` = 1
     max_skipped_s: float = 1.0  # longest time without any detection that counts as skipped frames, not misses
@@ -113,6 +116,7 @@ class DeepSortTracker:
         self._table = TrackTable(n_boxes=settings.prediction.n_kept, n_embeddings=settings.appearance.nn_budget)
         self._next_id = 1
         self._last_s = -np.inf
+        self._step_s = self._shortest_step_s = np.inf  # time between the last two frames, and between any two
         self._last_detected_s = -np.inf  # the last frame with any detection: skipped frames are not misses
         self._outermost_px = np.full(4, -np.inf)  # edges of the boxes in the output so far, outwards
 
@@ -186,16 +190,21 @@ class DeepSortTracker:
         if self._camera_motion is not None and image is not None:
             table.compensate_camera_motion(self._camera_motion.update(image, detections.xyxy_px, time_s))
         is_alive = time_s - table.history.last_s <= settings.max_age_s
-        is_alive &= table.filters.position_sigma <= settings.max_position_sigma
-        is_alive &= table.is_confirmed | self._is_streak(time_s)
+        is_streak = self._is_streak(time_s)
+        is_alive &= (table.filters.position_sigma <= settings.max_position_sigma) | is_streak
+        is_alive &= table.is_confirmed | is_streak
         table.retain(is_alive)
+        self._step_s = dt_s = time_s - self._last_s
+        self._shortest_step_s = min(self._shortest_step_s, dt_s)
         if len(table):
-            dt_s = time_s - self._last_s
             table.filters = motion.predict(table.filters, dt_s, settings.noise, noise_scale=self._noise_scale.value)
 
     def _is_streak(self, time_s: float) -> BoolArray:
-        """(N,) whether a track was detected in the last frame with any detection, at most `max_skipped_s` ago."""
-        if time_s - self._last_detected_s > self._settings.max_skipped_s:
+        """(N,) whether a track was detected in the last frame with any detection, at most `max_skipped_s` ago.
+
+        At low frame rates, at most one and a half of the shortest step between two frames ago.
+        """
+        if time_s - self._last_detected_s > max(self._settings.max_skipped_s, 1.5 * self._shortest_step_s):
             return np.zeros(len(self._table), np.bool_)
         return np.asarray(self._table.history.last_s == self._last_detected_s)
 
@@ -225,14 +234,27 @@ class DeepSortTracker:
         # Second association: the remaining confirmed tracks and low-confidence detections.
         assignment.match(overlap_cost, confirmed, ~is_high, max_cost=1 - settings.min_iou_low_confidence)
 
-        # Tentative tracks and the remaining high-confidence detections, both widened.
+        # At low frame rates, all tracks of the last frame and the remaining high-confidence detections, by distance and
+        # size; then tentative tracks, both widened.
         if assignment.is_complete:
             return assignment
+        if self._step_s >= settings.min_distance_step_s:
+            is_last = table.history.last_s == self._last_detected_s
+            cost = distance_cost(table.filters, detections.xyxy_px, self._step_s, settings.noise)
+            cost[~allowed] = np.inf
+            assignment.match(cost, is_last, is_high, max_cost=settings.max_distance)
         i, j = assignment.unmatched(~confirmed, is_high)
         if len(i) and len(j):
             cost = iou_cost(boxes_px[i], detections.xyxy_px[j], margin=settings.tentative_margin)
             cost[~allowed[i[:, None], j]] = np.inf
             assignment.match_subset(cost, i, j, max_cost=1 - settings.min_iou_tentative)
+        return assignment
+        i, j = assignment.unmatched(~confirmed, is_high)
+        if len(i) and len(j):
+            cost = iou_cost(boxes_px[i], detections.xyxy_px[j], margin=settings.tentative_margin)
+            cost[~allowed[i[:, None], j]] = np.inf
+            assignment.match_subset(cost, i, j, max_cost=1 - settings.min_iou_tentative)
+
         return assignment
 
     def _update_matched(self, rows: IntArray, detections: Detections, matched: IntArray, time_s: float) -> None:

@@ -16,6 +16,10 @@ from track_range.tracking import history, motion
 from track_range.tracking.appearance.gallery import Gallery
 from track_range.tracking.motion import MotionNoise
 
+# Lead in votes that changes a class, in standard deviations of the difference of random votes. Of tracks with a random
+# one of two classes in each frame, 0.2 % change more than once in 100 frames; nine votes correct three wrong ones.
+_MIN_LEAD = 1.5
+
 
 class TrackTable:
     """Confirmed, tentative and lost tracks."""
@@ -26,7 +30,7 @@ class TrackTable:
         self.filters = motion.initiate(np.zeros((0, 4)), MotionNoise())  # motion filters
         self.history = history.initiate(np.zeros((0, 4)), 0.0, n_kept=n_boxes)  # the last detected boxes
         self.class_votes: FloatArray = np.zeros((0, len(ROAD_CLASSES)))  # (N, classes) sum of scores
-        # (N,) the class with the most votes, so that it does not flicker
+        # (N,) the class with the most votes, with hysteresis, so that it does not flicker
         self.class_id: IntArray = np.zeros(0, np.int64)
         self.score_sum: FloatArray = np.zeros(0)  # (N,) sum of the scores of all detections
         self.score: FloatArray = np.zeros(0)  # (N,) score of the last detection
@@ -70,12 +74,18 @@ class TrackTable:
         self.innovation[rows] = innovation[:, :2]
         self.history.append(rows, xyxy_px, time_s, is_streak=is_streak)
         self.class_votes[rows, detections.class_id[matched]] += score
-        self.class_id = self.class_votes.argmax(axis=1)
+        self._elect()
         self.score_sum[rows] += score
         self.score[rows] = score
         self.n_hits[rows] += 1
         if detections.descriptor.shape[1]:
             self.gallery = self.gallery.append(rows, detections.descriptor.take(matched, axis=0))
+
+    def _elect(self) -> None:
+        """Change the class of tracks for which another one leads by more votes than random classes would."""
+        best, row = self.class_votes.argmax(axis=1), np.arange(len(self))
+        votes, own_votes = self.class_votes[row, best], self.class_votes[row, self.class_id]
+        self.class_id = np.where(votes - own_votes > _MIN_LEAD * np.sqrt(votes + own_votes), best, self.class_id)
 
     def initiate(self, first_id: int, detections: Detections, time_s: float, *, noise: MotionNoise) -> None:
         """Add a tentative track for each detection; ids count from `first_id`."""

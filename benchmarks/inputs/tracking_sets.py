@@ -7,8 +7,9 @@ on smooth random paths, with jitter, missing boxes and false alarms, determined 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -59,6 +60,21 @@ class Sequence:
     @property
     def has_embeddings(self) -> bool:
         return bool(self.detected.detections.descriptor.shape[1])
+
+    def every(self, step: int) -> Sequence:
+        """Every `step`-th frame of the sequence, at a lower frame rate."""
+
+        def thinned(rows: Any) -> Any:
+            kept = np.flatnonzero(rows.frame % step == 0)
+            columns = {f.name: getattr(rows, f.name) for f in fields(rows) if f.name != "frame"}
+            taken = {k: v[kept] if isinstance(v, np.ndarray) else v for k, v in columns.items()}
+            if isinstance(rows, RecordedDetections):
+                taken["detections"] = rows.detections.select(kept)
+            return replace(rows, frame=rows.frame[kept] // step, **taken)
+
+        truth, detected = None if self.truth is None else thinned(self.truth), thinned(self.detected)
+        n_frames = -(-self.n_frames // step)
+        return replace(self, detected=detected, truth=truth, n_frames=n_frames, fps=self.fps / step)
 
     def boxes(self, frame: IntArray, track_id: IntArray, xyxy_px: FloatArray) -> TrackedBoxes:
         """N track boxes of the class."""

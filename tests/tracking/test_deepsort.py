@@ -188,8 +188,27 @@ def test_class_is_voted() -> None:
 
 
 def test_wrong_first_class_is_outvoted() -> None:
-    out = drive(DeepSortTracker(), [car_at(100, class_id=TRUCK, score=0.5), *[car_at(100)] * 3])
-    assert [tracks.class_id.tolist() for tracks in out] == [[TRUCK], [CAR], [CAR], [CAR]]
+    out = drive(DeepSortTracker(), [car_at(100, class_id=TRUCK, score=0.5), *[car_at(100)] * 6])
+    assert [tracks.class_id.tolist() for tracks in out] == [[TRUCK]] * 4 + [[CAR]] * 3
+
+
+def test_classes_that_flicker_change_rarely() -> None:
+    rng, n_changes = np.random.default_rng(3), []
+    for _ in range(10):
+        labels = rng.choice([CAR, TRUCK], 100)
+        out = drive(DeepSortTracker(), [car_at(100, class_id=c, score=rng.uniform(0.5, 1)) for c in labels])
+        n_changes.append(int((np.diff([tracks.class_id[0] for tracks in out]) != 0).sum()))
+    assert max(n_changes) <= 1
+
+
+@pytest.mark.parametrize(("fps", "step_px"), [(2.0, 90.0), (1.0, 90.0), (0.5, 100.0)])
+def test_objects_that_move_by_more_than_their_width_per_frame(fps: float, step_px: float) -> None:
+    tracker, ids = DeepSortTracker(), []
+    for frame in range(8):
+        far = Detections.of([[2000.0 - 8 * frame, 90.0, 2030.0 - 8 * frame, 110.0]], [0.9], [CAR])
+        tracks = tracker.update(both(car_at(100 + step_px * frame), far), 100 + frame / fps, None)
+        ids.append(tracks.track_id.tolist())
+    assert ids == [[1, 2]] * 8
 
 
 def test_a_person_does_not_become_a_car() -> None:
