@@ -97,7 +97,7 @@ def nms(
         block = columns[:, start : start + _NMS_BLOCK]
         rest = np.flatnonzero(~_overlap(columns[:, kept], block, max_iou=max_iou).any(axis=0))
         block = block[:, rest]
-        kept = np.concatenate([kept, start + rest[_survivors(_overlap(block, block, max_iou=max_iou))]])
+        kept = np.concatenate([kept, start + rest[survivors(_overlap(block, block, max_iou=max_iou))]])
     return np.asarray(order[kept[:limit]])
 
 
@@ -115,7 +115,7 @@ def _overlap(a: FloatArray, b: FloatArray, *, max_iou: float) -> BoolArray:
     return np.asarray(width > max_iou / (1.0 + max_iou) * (a[4][:, None] + b[4]))
 
 
-def _survivors(overlaps: BoolArray) -> BoolArray:
+def survivors(overlaps: BoolArray) -> BoolArray:
     """(N,) mask of the boxes that survive greedy suppression, from their overlaps (N, N) in order of decreasing score.
 
     A box survives if no surviving box with a higher score overlaps it. Starting with all boxes, this rule is applied

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -13,27 +14,38 @@ from track_range.foundation.errors import UserError
 ROAD_CLASSES = ("person", "bicycle", "car", "motorcycle", "bus", "truck", "traffic light", "traffic sign")
 """Names of the road classes; the index in this tuple is the `class_id` of detections and tracks."""
 
-ROAD_CLASS_OF = {
-    **{name: name for name in ROAD_CLASSES},
-    "stop sign": "traffic sign",
-    "sign": "traffic sign",
-    "trafficsign": "traffic sign",
-    "trafficlight": "traffic light",
-    "light": "traffic light",
-    "traffic_light": "traffic light",
-    "traffic_sign": "traffic sign",
-    "pedestrian": "person",
-    "cyclist": "bicycle",
-    "motorbike": "motorcycle",
-    "van": "car",
-    "person_sitting": "person",
+# fmt: off
+_SYNONYMS = {
+    "person": ("pedestrian", "people", "human", "walker", "man", "woman", "boy", "girl", "child", "adult"),
+    "bicycle": ("bike", "cycle", "push bike"),
+    "car": ("vehicle", "automobile", "auto", "passenger car", "other vehicle", "land vehicle", "motor vehicle"),
+    "motorcycle": ("motorbike", "motor", "motor bike", "motor cycle"),
+    "bus": ("autobus",),
+    "truck": ("lorry", "heavy truck"),
+    "traffic light": ("trafficlight", "light", "traffic signal", "traffic lights"),
+    "traffic sign": ("trafficsign", "sign", "road sign", "traffic signs"),
 }
-"""Road class by the lower-case name that COCO, VOC or KITTI use; other names are not road classes.
+_KINDS = {
+    "person": ("person sitting", "rider", "motorcyclist", "other person", "person on vehicle", "police officer"),
+    "bicycle": ("cyclist", "bicyclist"),
+    "car": ("van", "taxi", "cab", "suv", "sedan", "hatchback", "minivan", "pickup", "pickup truck", "police car",
+            "limousine", "jeep", "ambulance", "emergency vehicle", "transporter"),
+    "motorcycle": ("scooter", "moped", "e bike"),
+    "bus": ("minibus", "coach", "school bus", "bendy bus"),
+    "truck": ("trailer", "caravan", "construction vehicle", "vehicle.construction", "semi", "fire truck", "tanker"),
+    "traffic sign": ("stop sign", "speed limit sign"),
+}
+# fmt: on
+ROAD_CLASS_OF: Mapping[str, str] = {
+    **{name: name for name in ROAD_CLASSES},
+    **{name: road for table in (_SYNONYMS, _KINDS) for road, names in table.items() for name in names},
+}
+"""Road class by the names of COCO, VOC, KITTI, BDD100K, Cityscapes, VisDrone, UA-DETRAC, Open Images, nuScenes and
+Waymo, as `class_key` writes them; other names are not road classes. `_KINDS` are names for only a part of their class.
 
-For detectors' class names. For KITTI's ground truth, `KITTI_IGNORED` excludes some of these names.
+For detectors, label files and boxes of other libraries. In KITTI's ground truth, `KITTI_IGNORED` excludes some of them.
 """
 
-_KINDS = ("stop sign", "van", "cyclist", "person_sitting")  # names in `ROAD_CLASS_OF` for only part of their class
 SAME_OBJECT_GROUP: IntArray = np.array([0, 1, 2, 1, 2, 2, 3, 4])  # by class_id: detectors confuse those of a group
 KITTI_IGNORED = ("Van", "Tram", "Misc", "Person", "Person_sitting", "DontCare")  # neither true nor false positives
 
@@ -65,6 +77,21 @@ class ClassNameError(UserError, ValueError):
     """Unknown class name; the message suggests the most similar road class."""
 
 
+def class_key(name: str) -> str:
+    """A class name as `ROAD_CLASS_OF` has it: lower case, with spaces for hyphens and underscores, without TYPE_."""
+    key = str(name).strip().lower().replace("--", ".")  # Mapillary writes object--vehicle--car
+    return " ".join(re.sub(r"[_\-\s]+", " ", key).split()).removeprefix("type ")
+
+
+def road_class_of(name: str) -> str | None:
+    """The road class of a name in another class list; None if it is not a road class.
+
+    Of names with dots, such as nuScenes' vehicle.bus.rigid, the last part that is known counts.
+    """
+    key = class_key(name)
+    return next((ROAD_CLASS_OF[part] for part in (key, *reversed(key.split("."))) if part in ROAD_CLASS_OF), None)
+
+
 def road_class_id(name: str) -> int:
     """Class id of a road class or a synonym, in any case.
 
@@ -75,13 +102,14 @@ def road_class_id(name: str) -> int:
 
     Raises ClassNameError: the name is unknown.
     """
-    key = str(name).strip().lower()
-    if key not in ROAD_CLASS_OF:
+    road_class = road_class_of(name)
+    if road_class is None:
+        key = class_key(name)
         near = difflib.get_close_matches(key, ROAD_CLASS_OF, n=1, cutoff=0.0)[0]
         raise ClassNameError(
             f"unknown class '{name}': did you mean '{ROAD_CLASS_OF[near]}'? The classes are {ROAD_CLASS_TABLE}."
         )
-    return ROAD_CLASSES.index(ROAD_CLASS_OF[key])
+    return ROAD_CLASSES.index(road_class)
 
 
 def road_class_ids(names: Iterable[str]) -> IntArray:
@@ -91,13 +119,15 @@ def road_class_ids(names: Iterable[str]) -> IntArray:
 
 def map_to_road_classes(names: Sequence[str]) -> IntArray:
     """(len(names),) road class id of each name of another class list; -1 for names that are not road classes."""
-    road = [ROAD_CLASS_OF.get(name.strip().lower()) for name in names]
-    return np.array([-1 if name is None else ROAD_CLASSES.index(name) for name in road], np.int64)
+    road = {name: road_class_of(name) for name in set(names)}  # files repeat few names
+    ids = {name: -1 if road_class is None else ROAD_CLASSES.index(road_class) for name, road_class in road.items()}
+    return np.array([ids[name] for name in names], np.int64)
 
 
 def fully_known(names: Sequence[str]) -> BoolArray:
     """(8,) road classes that a list of class names has as a whole, not only a kind of them such as stop signs."""
-    road = map_to_road_classes([name for name in names if name.strip().lower() not in _KINDS])
+    kinds = {kind for names_of_class in _KINDS.values() for kind in names_of_class}
+    road = map_to_road_classes([name for name in names if class_key(name) not in kinds])
     return np.isin(np.arange(len(ROAD_CLASSES)), road)
 
 

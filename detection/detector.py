@@ -4,9 +4,15 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
+import numpy as np
+
+from track_range.detection.boxes import iou, survivors
+from track_range.detection.classes import SAME_OBJECT_GROUP
 from track_range.detection.detections import Detections
 from track_range.foundation.arrays import Image
 from track_range.foundation.errors import UserError
+
+MAX_IOU = 0.5  # of two boxes of classes that are easily confused; above it they are one object
 
 
 class DetectorError(UserError):
@@ -33,4 +39,19 @@ def checked_detections(detector: ObjectDetector, image: Image, frame_index: int)
         raise DetectorError(f"{where}: {str(error).rstrip('.')}.") from error
     if not isinstance(result, Detections):
         raise DetectorError(f"{where}: expected detect() to return Detections, got {type(result).__name__}.")
-    return result
+    return without_confused(result)
+
+
+def without_confused(detections: Detections, max_iou: float = MAX_IOU) -> Detections:
+    """The detections without those that overlap one with a higher score of another class of the same group.
+
+    Groups are of classes that detectors confuse: a car and a truck on one vehicle are one object.
+    Boxes of one class do not suppress each other: their source decides which of them are one object.
+    """
+    group = SAME_OBJECT_GROUP[detections.class_id]
+    if len(np.unique(group)) == len(np.unique(detections.class_id)):
+        return detections
+    best = np.argsort(-detections.score, kind="stable")
+    xyxy_px, class_id, group = detections.xyxy_px[best], detections.class_id[best], group[best]
+    is_same = (iou(xyxy_px, xyxy_px) > max_iou) & (group[:, None] == group) & (class_id[:, None] != class_id)
+    return detections.select(np.sort(best[survivors(is_same)]))

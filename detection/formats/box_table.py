@@ -27,7 +27,8 @@ class VideoFacts:
 
     name: str = ""  # name of the video or sequence; "" = unknown
     n_frames: int | None = None
-    first_frame: int = 0  # number of the first frame that has labels if there are any objects in it
+    # number of the first frame that has labels if there are any objects in it; for a reader: of the video, if not 0
+    first_frame: int = 0
     size_px: tuple[int, int] | None = None  # (width, height) of its images
     fps: float | None = None
     is_rectified: bool = False  # boxes are in rectified pixels, as in the results of a run, not in those of the video

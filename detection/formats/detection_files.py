@@ -1,38 +1,40 @@
 """Reader of files with recorded detections.
 
-The format is recognised from the content: KITTI, MOTChallenge's det.txt, plain `frame,x1,y1,x2,y2,score` (RRC),
-track-range's tracks.csv, or one of `label_formats` (COCO, CVAT, YOLO, tracks.parquet). A feat.npy next to a
+The format is recognised from the content: KITTI, rows of numbers (`video_labels.mot`: MOTChallenge's det.txt, plain
+`frame,x1,y1,x2,y2,score` (RRC) and others), track-range's tracks.csv, or one of `label_formats`. A feat.npy next to a
 MOTChallenge file has the same rows with an embedding appended to each (the format of nwojke/deep_sort).
 """
 
 from __future__ import annotations
 
-import math
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
 from track_range.detection.detections import Descriptors, Detections
-from track_range.detection.formats.box_table import VideoFacts
+from track_range.detection.detector import without_confused
+from track_range.detection.formats.box_table import NO_FACTS, VideoFacts
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import is_blank, label_format_of
 from track_range.detection.formats.limits import MAX_FRAME, are_plausible_boxes
-from track_range.detection.formats.table_checks import other_labels_note
+from track_range.detection.formats.table_checks import first_frame_number, names_with_counts, other_labels_note
 from track_range.detection.formats.video_labels.kitti import read_kitti
-from track_range.detection.formats.video_labels.mot import xyxy_from_mot
+from track_range.detection.formats.video_labels.mot import mot_rows, read_number_rows
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.files.array_files import read_array
 from track_range.foundation.files.csv_tables import read_csv_table
-from track_range.foundation.files.input_files import MAX_TABLE_BYTES, first_line, quoted, read_text
-from track_range.foundation.files.numeric_text import are_integers, number
+from track_range.foundation.files.input_files import MAX_TABLE_BYTES, first_line, read_text
 
 _MAX_FEATURE = 1e15  # of an embedding: sums of squares do not overflow in float32
 _MAX_SCORE = 1e6  # scores are probabilities, or margins of a few units
+_MIN_PER_CENT, _MAX_PER_CENT = 10, 100  # largest of scores that are read as per cent; margins hardly reach 10
+_MAX_INVALID = 0.5  # fraction of invalid rows above which a file has another format
 DetectionFormat = Literal["mot", "kitti", "rrc", "tracks", "labels"]  # rrc: plain rows; tracks: a tracks.csv
 
 
@@ -45,9 +47,11 @@ class _Rows(NamedTuple):
     xyxy_px: FloatArray
     score: FloatArray
     class_id: IntArray
+    class_name: npt.NDArray[np.str_]
     descriptor: Descriptors | None = None
     notes: tuple[str, ...] = ()
     is_rectified: bool = False
+    has_classes: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,16 +63,12 @@ class RecordedDetections:
     form: DetectionFormat  # format of the file
     notes: tuple[str, ...]  # notes for the user on the recognised format and on dropped rows
     is_rectified: bool = False  # whether the boxes are in rectified pixels, not in pixels of the original video
-
-    @property
-    def has_classes(self) -> bool:
-        """Whether the file has a class for each box."""
-        return self.form in ("kitti", "tracks", "labels")
+    has_classes: bool = False  # whether the file has a class for each box
 
     def at(self, frame_index: int) -> Detections:
-        """The detections of one frame."""
+        """The detections of one frame, with one class for each object."""
         first, last = np.searchsorted(self.frame, [frame_index, frame_index + 1])
-        return self.detections.select(np.arange(first, last))
+        return without_confused(self.detections.select(np.arange(first, last)))
 
 
 def read_detections(
@@ -76,54 +76,69 @@ def read_detections(
     *,
     default_class_id: int = 0,
     form: DetectionFormat | None = None,
-    size_px: tuple[int, int] | None = None,
+    video: VideoFacts = NO_FACTS,
 ) -> RecordedDetections:
-    """The detections in a file, or in a folder of KITTI object files or YOLO labels; an empty file has no boxes.
+    """The detections in a file, or in a folder with a file for each image; an empty file has no boxes.
 
     `default_class_id` is the class of boxes in formats without classes (MOTChallenge and plain rows), `form` the
-    expected format (None = any), `size_px` (width, height) of the images, which YOLO labels need. Raises LabelFileError
-    if the file cannot be read, or its format is unknown or not `form`.
+    expected format (None = any), `video` what is known of it: the size of the images, which YOLO labels need, and their
+    number. Raises LabelFileError if the file cannot be read, its format is unknown or not `form`, or most rows are
+    invalid.
     """
     if is_blank(path, "detections") and not _text(path).strip():
         notes = [f"Read {path.name} as an empty file: 0 boxes.", f"{path.name} is empty: there are no boxes."]
         return RecordedDetections(np.zeros(0, np.int64), Detections.empty(), form or "rrc", notes=tuple(notes))
-    rows = _rows(path, default_class_id, size_px)
+    rows = _rows(path, default_class_id, video, form)
     if form not in (None, rows.form):
         raise LabelFileError(f"{path}: expected the format {form}, got {rows.form} ({rows.description}).")
     score, score_note = _as_probability(np.where(np.abs(rows.score) <= _MAX_SCORE, rows.score, np.nan))
-    is_plausible = are_valid_boxes(rows.xyxy_px) & are_plausible_boxes(rows.xyxy_px)
-    is_valid = is_plausible & np.isfinite(score) & (rows.class_id >= 0) & (rows.frame >= 0)
+    is_valid = are_valid_boxes(rows.xyxy_px) & are_plausible_boxes(rows.xyxy_px) & np.isfinite(score)
+    is_valid &= rows.frame >= 0
+    is_road = rows.class_id >= 0
+    if (n_invalid := np.count_nonzero(~is_valid)) > _MAX_INVALID * len(is_valid):
+        raise LabelFileError(
+            f"{path}: expected valid boxes, read as {rows.description}, found {n_invalid} of {len(is_valid)} rows that "
+            "are none; check the columns and their order."
+        )
     if np.any(rows.frame > MAX_FRAME):
         raise LabelFileError(f"{path}: expected frame numbers up to {MAX_FRAME}, got {rows.frame.max()}.")
-    order = np.flatnonzero(is_valid)[np.argsort(rows.frame[is_valid], kind="stable")]
+    order = np.flatnonzero(is_valid & is_road)
+    order = order[np.argsort(rows.frame[order], kind="stable")]
     notes = [f"Read {path.name} as {rows.description}: {len(order)} boxes."]
     if len(order) < len(rows.frame):
-        n_dropped = len(rows.frame) - len(order)
-        notes.append(f"{path.name}: ignored {n_dropped} rows that are not a valid box of a road class.")
+        n_dropped, others = len(rows.frame) - len(order), names_with_counts(rows.class_name[~is_road])
+        suffix = f"; other classes: {others}" if others else ""
+        notes.append(f"{path.name}: ignored {n_dropped} rows that are not a valid box of a road class{suffix}.")
     detections = Detections.of(rows.xyxy_px[order], score[order], rows.class_id[order])
     if rows.descriptor is not None:
         detections = replace(detections, descriptor=rows.descriptor[order])
+    frame = rows.frame[order]
+    if rows.form in ("kitti", "labels") and first_frame_number(frame, 0, video.n_frames) == 1:
+        frame = frame - 1
+        notes.append(
+            f"{path.name}: its frame numbers end at {video.n_frames}, the number of images, so they start at 1."
+        )
     notes += [*rows.notes, *score_note]
-    return RecordedDetections(rows.frame[order], detections, rows.form, tuple(notes), rows.is_rectified)
+    return RecordedDetections(frame, detections, rows.form, tuple(notes), rows.is_rectified, rows.has_classes)
 
 
-def _rows(path: Path, default_class_id: int, size_px: tuple[int, int] | None) -> _Rows:
+def _rows(path: Path, default_class_id: int, video: VideoFacts, form: DetectionFormat | None) -> _Rows:
     label_format = label_format_of(path, "detections")
-    if label_format.is_general:
-        table = label_format.read(path, VideoFacts(size_px=size_px))
+    if label_format.is_general or label_format.name == "csv":
+        table = label_format.read(path, video)
         table = table.select(table.observed)  # as of tracks.csv
         score = np.where(np.isnan(table.score), 1.0, table.score)
         notes = (*table.notes, *other_labels_note(table, path))
-        columns = (table.frame, table.xyxy_px, score, table.class_id)
+        unnamed = np.full(len(table), "")  # the notes have the names of other classes
+        columns = (table.frame, table.xyxy_px, score, table.class_id, unnamed)
         return _Rows("labels", label_format.title, *columns, None, notes, table.video.is_rectified)
-    is_folder = os.path.isdir(path)  # unlike Path.is_dir, False for a name that is too long
-    first = "" if is_folder else first_line(path, LabelFileError, "detections")
-    if "," not in first:
+    if label_format.name == "kitti":
         labels = read_kitti(path)
         score = np.where(np.isfinite(labels.score), labels.score, 1.0)
         class_id = map_to_road_classes([str(name) for name in labels.kitti_type])
-        return _Rows("kitti", "KITTI rows", labels.frame, labels.xyxy_px, score, class_id)
-    return _tracks_csv_rows(path) if first.startswith("frame,") else _comma_rows(path, default_class_id)
+        return _Rows("kitti", "KITTI rows", labels.frame, labels.xyxy_px, score, class_id, labels.kitti_type)
+    is_tracks = not os.path.isdir(path) and first_line(path, LabelFileError, "detections").startswith("frame,")
+    return _tracks_csv_rows(path) if is_tracks else _number_rows(path, default_class_id, video, form)
 
 
 def _tracks_csv_rows(path: Path) -> _Rows:
@@ -133,67 +148,43 @@ def _tracks_csv_rows(path: Path) -> _Rows:
     cells = np.stack([table.finite(name) for name in expected], axis=1)
     is_frame = (np.abs(cells[:, 0]) <= MAX_FRAME) & (np.rint(cells[:, 0]) == cells[:, 0])
     table.check("frame", cells[:, 0], is_frame, f"an integer from 0 to {MAX_FRAME}")
-    class_id = map_to_road_classes(table.texts("class"))
     observed = cells[:, 6] == 1
-    cells, class_id = cells[observed], class_id[observed]
-    columns = (cells[:, 0].astype(np.int64), cells[:, 1:5], cells[:, 5], class_id)
+    names = np.array(table.texts("class"), np.str_)[observed]
+    cells = cells[observed]
+    columns = (cells[:, 0].astype(np.int64), cells[:, 1:5], cells[:, 5], map_to_road_classes(names.tolist()), names)
     return _Rows("tracks", "the observed rows of a tracks.csv", *columns, is_rectified=True)
 
 
-def _comma_rows(path: Path, default_class_id: int) -> _Rows:
-    """Rows of numbers with commas between them and frame numbers in the first column; `#` starts a comment."""
-    lines = _text(path).split("\n")
-    if not any(line.partition("#")[0].strip() for line in lines):
+def _number_rows(path: Path, default_class_id: int, video: VideoFacts, form: DetectionFormat | None) -> _Rows:
+    """Rows of numbers; those without a class get the default one."""
+    table = read_number_rows(path, LabelFileError, "detections")
+    if not table.lines:
         raise LabelFileError(f"{path}: expected detections, got only comments.")
-    try:
-        table = np.loadtxt(lines, delimiter=",", ndmin=2)
-    except ValueError as error:
-        raise _fault(path, lines) from error
-    if not are_integers(table[:, 0], -MAX_FRAME - 1, MAX_FRAME + 1):  # MOTChallenge counts from 1
-        raise LabelFileError(f"{path}: expected integers up to {MAX_FRAME} as frame numbers.")
-    frame, class_id = table[:, 0].astype(np.int64), np.full(len(table), default_class_id, np.int64)
-    name, n_columns = ROAD_CLASSES[default_class_id], table.shape[1]
-    if n_columns == 6:
-        description = f"rows frame,x1,y1,x2,y2,score of class {name}"
-        return _Rows("rrc", description, frame, table[:, 1:5], table[:, 5], class_id)
-    if not 7 <= n_columns <= 10:
-        raise LabelFileError(
-            f"{path}: expected 7 to 10 columns frame,id,x,y,w,h,score,... (MOTChallenge) or 6 columns "
-            f"frame,x1,y1,x2,y2,score, got {n_columns}."
-        )
-    score = np.where(table[:, 6] == -1, 1.0, table[:, 6])  # -1 = no score in MOTChallenge
-    descriptor = _descriptors(path, table)
+    rows = mot_rows(table, n_frames=video.n_frames, form=form)
+    names = rows.class_name
+    is_named = np.array([name != "" for name in names], np.bool_)
+    class_id = np.where(is_named & ~rows.is_region, map_to_road_classes(names), -1)
+    class_id[~is_named] = default_class_id
+    descriptor = _descriptors(path, table.values, int(table.n_columns[0]))
+    default = "" if is_named.any() else f" of class {ROAD_CLASSES[default_class_id]}"
     with_embeddings = "" if descriptor is None else f" with embeddings of {descriptor.shape[1]} numbers"
-    description = f"MOTChallenge rows of class {name}{with_embeddings}"
-    return _Rows("mot", description, frame - 1, xyxy_from_mot(table[:, 2:6]), score, class_id, descriptor)
+    score = np.where(rows.score == -1, 1.0, rows.score)  # -1 = no score in MOTChallenge
+    form_found: DetectionFormat = "rrc" if rows.form == "rrc" else "mot"
+    description = f"{rows.title}{default}{with_embeddings}"
+    columns = (rows.frame, rows.xyxy_px, score, class_id, np.array(names, np.str_))
+    return _Rows(form_found, description, *columns, descriptor, rows.notes, has_classes=bool(is_named.any()))
 
 
 def _text(path: Path) -> str:
     return read_text(path, LabelFileError, "detections", max_bytes=MAX_TABLE_BYTES)
 
 
-def _fault(path: Path, lines: list[str]) -> LabelFileError:
-    """An error about the first line that is not as many numbers as the first one has."""
-    n_cells = 0
-    for line, text in enumerate(lines, start=1):
-        cells = text.partition("#")[0].split(",")
-        if not any(map(str.strip, cells)):
-            continue
-        n_cells = n_cells or len(cells)
-        invalid = next((cell for cell in cells if math.isnan(number(cell)) and "nan" not in cell.lower()), None)
-        given = f"{len(cells)} cells" if invalid is None else quoted(invalid.strip())
-        if invalid is not None or len(cells) != n_cells:
-            return LabelFileError(f"{path}, line {line}: expected {n_cells} numbers between commas, got {given}.")
-    return LabelFileError(f"{path}: expected rows of comma-separated numbers, all of the same length.")
-
-
-def _descriptors(path: Path, table: FloatArray) -> Descriptors | None:
+def _descriptors(path: Path, table: FloatArray, n_columns: int) -> Descriptors | None:
     """(N, D) float32 embeddings from the feat.npy in the folder of `path`; None if there is no such file."""
     features_path = path.with_name("feat.npy")
     if not os.path.lexists(features_path):
         return None
     features = np.asarray(read_array(features_path, LabelFileError, f"embeddings of {path.name}"), np.float64)
-    n_columns = table.shape[1]
     if features.ndim != 2 or features.shape[0] != len(table) or features.shape[1] <= n_columns:
         raise LabelFileError(
             f"{features_path}: expected {len(table)} rows as in {path.name}, each with {n_columns} numbers and an "
@@ -207,10 +198,12 @@ def _descriptors(path: Path, table: FloatArray) -> Descriptors | None:
 
 
 def _as_probability(score: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
-    """Scores in [0, 1], and a note if the sigmoid was applied because some were outside of this range."""
+    """Scores in [0, 1], and a note if they were per cent, or the sigmoid was applied since some were not in [0, 1]."""
     known = score[np.isfinite(score)]
     if not len(known) or (known.min() >= 0 and known.max() <= 1):
         return score, ()
-    probability = np.where(np.isfinite(score), 1.0 / (1.0 + np.exp(-np.clip(score, -50, 50))), np.nan)
     span = f"{known.min():.2f} to {known.max():.2f}"
+    if known.min() >= 0 and _MIN_PER_CENT < known.max() <= _MAX_PER_CENT:
+        return score / 100, (f"Scores from {span} were read as per cent.",)
+    probability = np.where(np.isfinite(score), 1.0 / (1.0 + np.exp(-np.clip(score, -50, 50))), np.nan)
     return probability, (f"Scores from {span} were converted to probabilities with the sigmoid (0 becomes 0.5).",)

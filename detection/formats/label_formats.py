@@ -16,6 +16,7 @@ from track_range.detection.formats.video_labels import text_tables
 from track_range.detection.formats.video_labels.coco import read_coco, write_coco
 from track_range.detection.formats.video_labels.csv_labels import has_label_columns
 from track_range.detection.formats.video_labels.cvat import read_cvat, write_cvat
+from track_range.detection.formats.video_labels.mot import is_number_row
 from track_range.detection.formats.video_labels.yolo_tracks import is_yolo_folder, read_yolo_folder, write_yolo
 from track_range.foundation.files.input_files import first_line, open_regular, readable
 
@@ -42,11 +43,15 @@ def _starts(*starts: str) -> Callable[[Path, str], bool]:
     return lambda path, first: first.startswith(starts)
 
 
+def _is_kitti(path: Path, first: str) -> bool:
+    return "," not in first and (not first or not is_number_row(first))
+
+
 # fmt: off
 _FORMATS = (
     LabelFormat("mot", "MOTChallenge", _starts(""), text_tables.read_mot_table, text_tables.write_mot_table,
                 has_classes=False, precision_px=0.01),
-    LabelFormat("kitti", "KITTI", lambda path, first: "," not in first, text_tables.read_kitti_table,
+    LabelFormat("kitti", "KITTI", _is_kitti, text_tables.read_kitti_table,
                 text_tables.write_kitti_table, precision_px=0.005),
     LabelFormat("tracks", "a tracks.csv", _starts("frame,time_s,"), text_tables.read_tracks_table, is_of_run=True),
     LabelFormat("csv", "a CSV of labels", lambda path, first: "," in first and has_label_columns(path),

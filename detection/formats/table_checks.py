@@ -7,11 +7,13 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.box_table import BoxTable
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.limits import MAX_FRAME
+from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.files.input_files import counted, quoted, shortened
 
 _MOST_NAMED = 5  # labels in a note
@@ -50,6 +52,22 @@ def check_names(names: Iterable[str], path: Path) -> None:
             )
 
 
+def first_frame_number(frame: FloatArray | IntArray, usual: int, n_frames: int | None = None) -> int:
+    """Number that a file gives to the first frame of its video, 0 or 1, from its (N,) numbers and the images' number.
+
+    A file with a frame 0 starts there; one that ends with the number of images starts at 1; else as is usual.
+    """
+    low, high = (float(frame.min()), float(frame.max())) if len(frame) else (usual, usual)
+    return 0 if low == 0 else 1 if low > 0 and high == n_frames else usual
+
+
+def is_unpadded(names: Iterable[str]) -> bool:
+    """Whether the last numbers in names have no zeros in front and fewer digits where they are small, as NAME_1."""
+    digits = [match[1] for name in names if (match := _LAST_NUMBER.search(name))]
+    is_plain = all(text == "0" or not text.startswith("0") for text in digits)
+    return is_plain and (len(set(map(len, digits))) > 1 or any(len(text) == 1 for text in digits))
+
+
 def first_frame_note(path: Path, first: int, n_frames: int) -> tuple[str, ...]:
     """A note if the `n_frames` that a file lists start at 1, since the first frame of a video is 0."""
     if first != 1 or n_frames < 2:
@@ -65,13 +83,18 @@ def other_labels_note(table: BoxTable, path: Path) -> tuple[str, ...]:
     is_other = (table.class_id < 0) & ~table.is_region & (table.class_name != "")
     if not is_other.any():
         return ()
-    names, counts = np.unique(table.class_name[is_other], return_counts=True)
-    most = [f"{shortened(str(name), 30)} ({n})" for name, n in zip(names[:_MOST_NAMED], counts, strict=False)]
-    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
     return (
-        f"{path.name}: boxes of labels that are not road classes do not count: {', '.join(most)}{more}; the "
-        f"classes are {', '.join(ROAD_CLASSES)}.",
+        f"{path.name}: boxes of labels that are not road classes do not count: "
+        f"{names_with_counts(table.class_name[is_other])}; the classes are {', '.join(ROAD_CLASSES)}.",
     )
+
+
+def names_with_counts(names: npt.NDArray[np.str_]) -> str:
+    """The first five different names in words, each with its number; "" for empty names only."""
+    kinds, counts = np.unique(names[names != ""], return_counts=True)
+    most = [f"{shortened(str(name), 30)} ({n})" for name, n in zip(kinds[:_MOST_NAMED], counts, strict=False)]
+    more = f" and {len(kinds) - _MOST_NAMED} more" if len(kinds) > _MOST_NAMED else ""
+    return f"{', '.join(most)}{more}"
 
 
 def ignored_note(path: Path, n_ignored: int, reason: str) -> tuple[str, ...]:

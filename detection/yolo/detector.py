@@ -27,6 +27,7 @@ from track_range.detection.box_errors import BoxErrors
 from track_range.detection.boxes import are_valid_boxes, nms
 from track_range.detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP, map_to_road_classes
 from track_range.detection.detections import Detections
+from track_range.detection.detector import MAX_IOU
 from track_range.detection.models.metadata import Attribute, ModelMetadata, ModelOptions, read_metadata
 from track_range.detection.models.onnx_session import BoundNetwork, ModelError, OnnxSession, Runtime
 from track_range.detection.yolo.decoders import Candidates
@@ -48,7 +49,7 @@ class YoloSettings:
 
     min_score: float = 0.1  # confidence threshold; low, since the tracker uses low-confidence boxes to continue tracks
     class_min_score: tuple[tuple[int, float], ...] = ()  # (class id, score) of road classes with a separate threshold
-    max_iou: float = 0.5  # of suppression among confused classes; of end-to-end networks, only equal boxes are removed
+    max_iou: float = MAX_IOU  # of suppression among confused classes; end-to-end networks: only equal boxes are removed
     max_boxes: int = 300  # largest number of boxes per image
     size_px: int | None = None  # longer side of a variable input; None = as in the metadata, else `DEFAULT_SIZE_PX`
     is_square: bool = False  # a variable input is square, else of the image's aspect ratio, except of DETR-like ones

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from track_range.detection.boxes import are_valid_boxes
-from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES
+from track_range.detection.classes import ROAD_CLASSES, road_class_of
 from track_range.detection.formats.box_table import BoxTable
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import read_labels
@@ -68,7 +68,7 @@ def read_box_csv(path: Path, *, focal_px: float | None = None) -> tuple[BoxSet, 
         raise table.fault(row, "expected a box with x1 < x2 and y1 < y2.")
     class_texts, class_names = table.texts("class"), list[str]()
     for row, text in enumerate(class_texts):
-        class_name = "van" if text.lower() == "van" else ROAD_CLASS_OF.get(text.lower())
+        class_name = "van" if text.lower() == "van" else road_class_of(text)
         if class_name is None:
             raise table.fault(row, f"expected a class such as {', '.join(ROAD_CLASSES)}, van, got {quoted(text)}.")
         class_names.append(class_name)

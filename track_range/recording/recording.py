@@ -102,6 +102,12 @@ class Recording:
         return self.videos[0].n_frames
 
     @property
+    def n_total(self) -> int | None:
+        """Estimated number of frames of the whole video, also where only a part is read; None = unknown."""
+        video = self.videos[0]
+        return video.n_total if isinstance(video, RecordedVideo) else video.n_frames
+
+    @property
     def live(self) -> LiveVideo | None:
         """The left video if it is a camera or a stream, or the one of both cameras, else None."""
         video = self.source.whole if isinstance(self.source, PackedPair) else self.videos[0]

@@ -14,6 +14,7 @@ from track_range.detection.boxes import are_valid_boxes, area_px2
 from track_range.detection.classes import ROAD_CLASSES, road_class_ids
 from track_range.detection.detections import Detections
 from track_range.detection.detector import DetectorError, ObjectDetector, checked_detections
+from track_range.detection.formats.box_table import VideoFacts
 from track_range.detection.formats.detection_files import RecordedDetections, read_detections
 from track_range.detection.yolo.detector import YoloDetector
 from track_range.foundation.arrays import IntArray
@@ -123,8 +124,9 @@ def class_name(value: object) -> str:
 
 def _recorded(path: Path, class_id: tuple[int, ...], recording: Recording) -> BoxSource:
     # MOTChallenge files have no classes: a single one in --classes applies, else person, as in MOTChallenge
-    default_class_id, size_px = class_id[0] if len(class_id) == 1 else 0, recording.calibration.sizes_px[0]
-    recorded = read_detections(path, default_class_id=default_class_id, size_px=size_px)
+    default_class_id = class_id[0] if len(class_id) == 1 else 0
+    video = VideoFacts(n_frames=recording.n_total, size_px=recording.calibration.sizes_px[0])
+    recorded = read_detections(path, default_class_id=default_class_id, video=video)
     if not recorded.is_rectified:
         recorded = _rectified(recorded, recording)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES
+from track_range.detection.classes import ROAD_CLASSES, road_class_of
 from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.foundation.arrays import Image
 from track_range.foundation.errors import UsageError
@@ -179,7 +179,7 @@ def _write(folder: Path, name: str, image: Image, truth: KittiLabels) -> None:
     boxes = np.clip(truth.xyxy_px + 0.5, 0, [width, height, width, height])
     sizes = boxes[:, 2:] - boxes[:, :2]
     ignored = (truth.occluded >= _HIDDEN) | (scale * sizes.min(axis=1, initial=np.inf) < MIN_SIDE_PX)
-    names = [ROAD_CLASS_OF.get(str(kitti_type).lower()) for kitti_type in truth.kitti_type]
+    names = [road_class_of(kitti_type) for kitti_type in truth.kitti_type]
     fractions = np.concatenate([(boxes[:, :2] + boxes[:, 2:]) / 2, sizes], axis=1) / [width, height, width, height]
     labels, pseudo_labels = [], []
     for road_class, row, is_ignored in zip(names, fractions, ignored, strict=True):

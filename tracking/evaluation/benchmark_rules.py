@@ -3,8 +3,9 @@
     KITTI     results are dropped that match a neighbouring class (Van for Car, Person for Pedestrian), or truth that is
               truncated or more than largely occluded; also unmatched results at most 25 px high, or with more than half
               of their area in a DontCare region. The remaining truth of the class counts.
-    MOT16-20  results that match a person on a vehicle, a static person, a distractor or a reflection are dropped.
-              Truth that is flagged as evaluated and of the class pedestrian counts.
+    MOT16-20  results that match a person on a vehicle, a static person, a distractor or a reflection are dropped, in
+              MOT20 also those that match a vehicle without a motor. Truth that is flagged as evaluated and of the class
+              pedestrian counts.
     MOT15     truth that is flagged as evaluated counts.
 
 Matches are the best one-to-one assignment with an IoU of at least 0.5. (The rules are those of `evaluate_tracking.py`
@@ -14,7 +15,7 @@ in KITTI's development kit and of MOTChallenge; TrackEval implements them in `ki
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -37,13 +38,16 @@ _MAX_OCCLUDED, _MAX_TRUNCATED = 2, 0.0  # largest occlusion level and truncation
 MIN_HEIGHT_PX = 25.0  # height up to which KITTI ignores unmatched results
 _MOT_PEDESTRIAN = 1  # MOTChallenge's class number of pedestrians
 _MOT_DISTRACTORS = (2, 7, 8, 12)  # person on a vehicle, static person, distractor, reflection
+_MOT20_DISTRACTOR = 6  # vehicle without a motor, of which MOT20 shows many
+_MOT20_CROWD = 13  # a class that only MOT20 has
 
 
 def kitti_cleaned(labels: KittiLabels, results: TrackedBoxes, road_class: str) -> tuple[TrackedBoxes, TrackedBoxes]:
     """Truth and results that count in KITTI's evaluation; `results` are all of `road_class`, a key of `KITTI_TYPES`."""
     kitti_type, neighbours = KITTI_TYPES[road_class]
-    is_class, is_neighbour = labels.kitti_type == kitti_type, np.isin(labels.kitti_type, neighbours)
-    is_clear = (labels.occluded <= _MAX_OCCLUDED) & (labels.truncated <= _MAX_TRUNCATED + _EPSILON)
+    is_class, is_neighbour = of_kitti_type(labels, (kitti_type,)), of_kitti_type(labels, neighbours)
+    # as the development kit, which reads the truncation as an integer and leaves out objects without an identity
+    is_clear = (labels.occluded <= _MAX_OCCLUDED) & (np.trunc(labels.truncated) <= _MAX_TRUNCATED)
     is_counted: BoolArray = np.ones(len(results), np.bool_)
     for frame, rows in _by_frame(results):
         in_frame = labels.frame == frame
@@ -61,13 +65,23 @@ def kitti_cleaned(labels: KittiLabels, results: TrackedBoxes, road_class: str) -
     return truth, results.select(is_counted)
 
 
-def mot_cleaned(truth: MotRows, results: TrackedBoxes) -> tuple[TrackedBoxes, TrackedBoxes]:
-    """Truth and results that count in MOTChallenge's evaluation; truth without classes (MOT15) has no distractors."""
+def of_kitti_type(labels: KittiLabels, types: Sequence[str]) -> BoolArray:
+    """(N,) mask of the rows of a type, in any case, that have an identity."""
+    named = np.char.lower(labels.kitti_type) if len(labels) else labels.kitti_type
+    return np.asarray(np.isin(named, [name.lower() for name in types]) & (labels.track_id >= 0))
+
+
+def mot_cleaned(truth: MotRows, results: TrackedBoxes, *, is_mot20: bool = False) -> tuple[TrackedBoxes, TrackedBoxes]:
+    """Truth and results that count in MOTChallenge's evaluation; truth without classes (MOT15) has no distractors.
+
+    `is_mot20`: the truth is of MOT20, which is also known from its class crowd.
+    """
     is_true = truth.score != 0
     has_classes = bool((truth.mot_class > 0).any())
     if has_classes:
-        is_true &= truth.mot_class == _MOT_PEDESTRIAN
-    is_distractor = np.isin(truth.mot_class, _MOT_DISTRACTORS)
+        is_true = (np.trunc(truth.score) != 0) & (truth.mot_class == _MOT_PEDESTRIAN)
+    is_mot20 = is_mot20 or bool((truth.mot_class == _MOT20_CROWD).any())
+    is_distractor = np.isin(truth.mot_class, (*_MOT_DISTRACTORS, *[_MOT20_DISTRACTOR] * is_mot20))
     is_counted: BoolArray = np.ones(len(results), np.bool_)
     for frame, rows in _by_frame(results) if has_classes else ():
         in_frame = np.flatnonzero(truth.frame == frame)

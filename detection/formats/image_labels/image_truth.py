@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES
+from track_range.detection.classes import ROAD_CLASSES, road_class_of
 from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
 
@@ -60,7 +60,7 @@ def truth_of_kitti(labels: KittiLabels) -> ImageTruth:
     bicycle does not, so the score of a detector with COCO's classes is too low for this class.
     """
     types = [str(name) for name in labels.kitti_type]
-    roads = [_KITTI_NEIGHBOUR.get(name) or ROAD_CLASS_OF.get(name.lower()) for name in types]
+    roads = [_KITTI_NEIGHBOUR.get(name) or road_class_of(name) for name in types]
     class_id = np.array([ANY_CLASS if road is None else ROAD_CLASSES.index(road) for road in roads], np.int64)
     ignored = np.array([name in _KITTI_NEIGHBOUR for name in types], np.bool_)
     regions = np.array([name == "DontCare" for name in types], np.bool_)

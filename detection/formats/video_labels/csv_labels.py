@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.detection.boxes import are_valid_boxes
-from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES, map_to_road_classes
+from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes, road_class_of
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_DISTANCE_M, MAX_FRAME, MAX_ID
 from track_range.foundation.arrays import FloatArray, IntArray
@@ -97,7 +97,7 @@ def read_csv_labels(path: Path) -> CsvLabels:
     table.refuse_duplicates(OPTIONAL)
     names = [name.lower() for name in table.texts("class")]
     for row, name in enumerate(names):
-        if name not in ROAD_CLASS_OF and name != DONT_CARE:
+        if name != DONT_CARE and road_class_of(name) is None:
             known = ", ".join(ROAD_CLASSES)
             raise table.fault(
                 row, f"expected one of the classes {known}, or {DONT_CARE} for a region, got {quoted(name)}."

@@ -21,31 +21,28 @@ from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, check_regular, quoted
 from track_range.foundation.schema_version import check_schema_version
 
-_MOT_CLASSES: Mapping[int, str] = {  # MOT16's and MOT20's class numbers (Milan et al., 2016, table 3); 0 = no classes
-    0: "", 1: "pedestrian", 2: "person on vehicle", 3: "car", 4: "bicycle", 5: "motorbike", 6: "non motorized vehicle",
-    7: "static person", 8: "distractor", 9: "occluder", 10: "occluder on the ground", 11: "occluder full",
-    12: "reflection", 13: "crowd",
-}  # fmt: skip
 _UNKNOWN_M = -999.0  # KITTI's coordinates up to this value (-1000) are unknown
 _COLUMNS = ("frame", "track_id", "score", "observed", "x1_px", "y1_px", "x2_px", "y2_px")
 _DISTANCES = ("fused_m", "fused_sigma_m")
 
 
 def read_mot_table(path: Path, video: VideoFacts) -> BoxTable:
-    """The rows of a gt.txt, det.txt or result file of MOTChallenge; only ground truth since MOT16 has classes.
+    """The rows of a file of numbers; only some layouts have classes, such as ground truth since MOT16.
 
-    Rows of ground truth that are flagged as not evaluated (score 0) are regions. Errors: see `read_mot`.
+    Labels that are flagged as not evaluated (score 0) are regions. Errors: see `read_mot`.
     """
-    rows = read_mot(path)
-    is_truth = rows.mot_class > 0
+    rows = read_mot(path, video.n_frames)
+    names, is_region = rows.class_name, rows.is_region
+    is_truth = np.array([name != "" for name in names], np.bool_) & np.isin(rows.score, (0, 1)).all()
     return BoxTable.of(
         rows.frame,
         np.maximum(rows.track_id, -1),
-        [_MOT_CLASSES.get(number, f"class {number}") for number in rows.mot_class.tolist()],
+        names,
         rows.xyxy_px,
-        is_region=is_truth & (rows.score == 0),
+        is_region=is_region,
         score=np.where(is_truth | (rows.score == -1), np.nan, rows.score),
         video=video,
+        notes=rows.notes,
     )
 
 

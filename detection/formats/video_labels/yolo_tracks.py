@@ -7,7 +7,7 @@
 The last number in a file name is the frame, from 0. Written labels have five columns, which training programs expect;
 frames without boxes have empty files. When reading, the files may also be in DIR itself, and rows may have the score
 and the identity that Ultralytics' `save_txt` appends: six or seven columns, the last one with integers throughout.
-Ultralytics numbers the frames of a video from 1. (https://docs.ultralytics.com/datasets/detect)
+Ultralytics numbers the frames of a video from 1, without zeros in front (NAME_1.txt). (https://docs.ultralytics.com/datasets/detect)
 """
 
 from __future__ import annotations
@@ -84,9 +84,8 @@ def read_yolo_folder(path: Path, video: VideoFacts) -> BoxTable:
     files, folder = _label_files(path)
     if not files:
         raise LabelFileError(f"{path}: expected YOLO labels such as labels/NAME_000000.txt, found none.")
-    frame_of = _frames(path, files)
+    frame_of, notes = _frames(path, files, video)
     first_frame = min(frame_of.values())
-    notes = list(table_checks.first_frame_note(path, first_frame, len(files)))
     names = names_for_folder(folder)
     if not names:
         names = ROAD_CLASSES
@@ -177,7 +176,8 @@ def _label_files(path: Path) -> tuple[list[Path], Path]:
     return files, folder
 
 
-def _frames(path: Path, files: Sequence[Path]) -> dict[Path, int]:
+def _frames(path: Path, files: Sequence[Path], video: VideoFacts) -> tuple[dict[Path, int], list[str]]:
+    """Frame number from 0 by file, and notes on the numbers in the names."""
     file_of: dict[int, Path] = {}
     for file in files:
         frame = table_checks.frame_in_name(file.stem)
@@ -188,8 +188,19 @@ def _frames(path: Path, files: Sequence[Path]) -> dict[Path, int]:
                 f"{path}: expected one file for each frame of one video, found {quoted(str(other.relative_to(path)))} "
                 f"and {quoted(str(file.relative_to(path)))} for frame {frame}."
             )
-    table_checks.check_names((file.stem for file in files), path)
-    return {file: frame for frame, file in file_of.items()}
+    names = [file.stem for file in files]
+    table_checks.check_names(names, path)
+    numbers = np.array(list(file_of), np.int64)
+    first = 0
+    if not video.first_frame:  # the user states how the numbers are meant
+        first = table_checks.first_frame_number(numbers, int(table_checks.is_unpadded(names)), video.n_frames)
+    notes = list(table_checks.first_frame_note(path, int(numbers.min()), len(files)))
+    if first:
+        notes = [
+            f"{path.name}: the numbers in the names of the files are taken to start at 1, as those of Ultralytics for "
+            f"a video; the first is {numbers.min()}."
+        ]
+    return {file: frame - first for frame, file in file_of.items()}, notes
 
 
 class _VideoSection(BaseModel):

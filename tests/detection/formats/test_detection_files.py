@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.formats.detection_files import read_detections, xyxy_from_mot
+from track_range.detection.formats.box_table import VideoFacts
+from track_range.detection.formats.detection_files import read_detections
 from track_range.detection.formats.errors import LabelFileError
 
 KITTI = "{frame} -1 {kind} -1 -1 -10 1 2 11 12 -1 -1 -1 -1000 -1000 -1000 -10 {score}\n"
@@ -31,7 +32,6 @@ def test_mot_rows_count_from_one(tmp_path):
     assert recorded.at(0).xyxy_px.tolist() == [[10, 20, 15, 26]]
     assert recorded.at(0).class_id.tolist() == [2]
     assert recorded.at(2).score.tolist() == [1.0]  # -1 = no score; the empty box is ignored
-    np.testing.assert_allclose(xyxy_from_mot(np.array([[1.0, 1.0, 4.0, 5.0]])), [[0, 0, 4, 5]])
 
 
 def test_plain_rows_and_our_own_tracks(tmp_path):
@@ -106,7 +106,7 @@ def test_implausible_boxes_are_ignored_with_a_note(tmp_path, cell):
 def test_implausible_frame_numbers(tmp_path, frame):
     file = tmp_path / "det.txt"
     file.write_text(f"1,-1,11,21,5,6,0.5\n{frame},-1,11,21,5,6,0.5\n")
-    with pytest.raises(LabelFileError, match=r"det\.txt: .*frame numbers"):
+    with pytest.raises(LabelFileError, match=r"det\.txt, line 2: .*frame numbers"):
         read_detections(file)
 
 
@@ -123,3 +123,53 @@ def test_embeddings_that_are_no_array_of_numbers(tmp_path):
         make(tmp_path / "feat.npy")
         with pytest.raises(LabelFileError, match=r"feat\.npy: "):
             read_detections(tmp_path / "det.txt")
+
+
+def test_scores_in_per_cent(tmp_path):
+    file = tmp_path / "det.txt"
+    file.write_text("1,-1,11,21,5,6,87,-1,-1,-1\n2,-1,11,21,5,6,9.5,-1,-1,-1\n")
+    recorded = read_detections(file)
+    np.testing.assert_allclose(recorded.detections.score, [0.87, 0.095])
+    assert "per cent" in recorded.notes[1]
+    file.write_text("1,-1,11,21,5,6,4,-1,-1,-1\n2,-1,11,21,5,6,0,-1,-1,-1\n")  # margins
+    np.testing.assert_allclose(read_detections(file).detections.score, [1 / (1 + np.exp(-4)), 0.5])
+
+
+def test_mostly_invalid_rows_are_refused(tmp_path):
+    file = tmp_path / "det.txt"
+    file.write_text("1,-1,100,100,90,80,0.9\n" + "2,-1,100,100,-5,-20,0.9\n" * 2)
+    with pytest.raises(LabelFileError, match=r"det\.txt.*2 of 3 rows"):
+        read_detections(file)
+    file.write_text("1,-1,100,100,90,80,0.9\n" * 2 + "2,-1,100,100,-5,-20,0.9\n" * 2)
+    assert len(read_detections(file).frame) == 2
+
+
+def test_classes_of_rows_of_numbers(tmp_path):
+    file = tmp_path / "det.txt"
+    file.write_text("1,3,11,21,50,60,1,4,0,0\n1,4,11,21,50,60,1,10,0,0\n1,5,11,21,50,60,1,11,0,0\n")
+    recorded = read_detections(file, default_class_id=0)
+    assert (recorded.detections.class_id.tolist(), recorded.has_classes) == ([2, 3], True)  # VisDrone: car, motor
+    assert "others (1)" in recorded.notes[1]
+
+
+def test_frames_of_kitti_that_end_with_the_number_of_images(tmp_path):
+    file = tmp_path / "det.txt"
+    file.write_text("".join(KITTI.format(frame=f, kind="Car", score=0.9) for f in (1, 2, 3)))
+    assert read_detections(file).frame.tolist() == [1, 2, 3]
+    recorded = read_detections(file, video=VideoFacts(n_frames=3))
+    assert recorded.frame.tolist() == [0, 1, 2]
+    assert any("start at 1" in note for note in recorded.notes)
+
+
+def test_two_classes_on_one_object(tmp_path):
+    """Boxes of classes that are easily confused are one object; others, and those of one class, are not."""
+    file = tmp_path / "det.txt"
+    rows = [("Car", 1, 0.5), ("Truck", 2, 0.9), ("Car", 1, 0.4), ("Pedestrian", 1, 0.3), ("Car", 40, 0.2)]
+    lines = [f"0 1 {kind} 0 0 0 {x} 2 {x + 30} 30 -1 -1 -1 -1000 -1000 -1000 -10 {s}\n" for kind, x, s in rows]
+    file.write_text("".join(lines))
+    recorded = read_detections(file)
+    assert len(recorded.frame) == 5
+    assert recorded.at(0).score.tolist() == [0.9, 0.3, 0.2]
+    file.write_text("".join(lines[:1] + lines[2:]))
+    assert len(recorded.at(1)) == 0
+    assert read_detections(file).at(0).score.tolist() == [0.5, 0.4, 0.3, 0.2]

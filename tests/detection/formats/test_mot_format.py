@@ -66,10 +66,10 @@ def test_an_empty_file_has_no_rows(tmp_path: Path) -> None:
     ("line", "key_word"),
     [
         ("1,1,2,3,4,5", "7 to 10"),
-        ("1 1 2 3 4 5 1", "7 to 10"),
+        ("1 1 2 3 4 5 1", "duplicate of id 1"),
         ("1,1,x,3,4,5,1", "'x'"),
         ("1,1,nan,3,4,5,1", "finite"),
-        ("0,1,2,3,4,5,1", "frame"),
+        ("-1,1,2,3,4,5,1", "frame"),
         ("1.5,1,2,3,4,5,1", "frame"),
         ("1,1.5,2,3,4,5,1", "id"),
         ("1,1,2,3,-4,5,1", "width"),
@@ -103,3 +103,83 @@ def test_columns_of_different_lengths() -> None:
     ids = np.zeros(2, np.int64)
     with pytest.raises(ValueError, match=r"score.*shape"):
         MotRows(ids, ids, np.zeros((2, 4)), np.zeros(1), ids, np.zeros(2))
+
+
+# -- layouts that look alike ------------------------------------------------------------------------------------------
+
+BOX = [100.0, 50.0, 130.0, 90.0]  # of one object that moves 4 px to the right in each frame, in pixels from 0
+
+
+def rows_in(layout: str, n: int = 12) -> str:
+    """The object in frames 0 to n - 1 in the columns of a layout, as f-string."""
+    lines = []
+    for f in range(n):
+        x, y, right, bottom = BOX[0] + 4 * f, BOX[1], BOX[2] + 4 * f, BOX[3]
+        place = {"f": f, "g": f + 1, "x": x + 1, "y": y + 1, "w": right - x, "h": bottom - y}
+        lines.append(layout.format(**place, l=x, t=y, r=right, b=bottom) + "\n")
+    return "".join(lines)
+
+
+LAYOUTS = {
+    "spaces": ("{g} 7 {x} {y} {w} {h} 0.9", 7, ""),
+    "tabs and a comment": ("{g}\t7\t{x}\t{y}\t{w}\t{h}\t1\t-1\t-1\t-1  # a", 7, ""),
+    "semicolons": ("{g};7;{x};{y};{w};{h};1", 7, ""),
+    "frames from 0": ("{f},7,{x},{y},{w},{h},0.9,-1,-1,-1", 7, ""),
+    "without scores": ("{g},7,{x},{y},{w},{h}", 7, ""),
+    "corners": ("{f},{l},{t},{r},{b},0.4", -1, ""),
+    "visdrone": ("{g},7,{x},{y},{w},{h},1,4,0,1", 7, "car"),
+    "visdrone results": ("{g},7,{x},{y},{w},{h},0.8,9,-1,-1", 7, "bus"),
+    "boxmot": ("{g} 7 {x:.0f} {y:.0f} {w:.0f} {h:.0f} 0 2 -1", 7, "car"),
+    "aicity": ("6 7 {g} {x:.0f} {y:.0f} {w:.0f} {h:.0f} -1 -1", 7, ""),
+    "ab3dmot": ("{f},2,{l},{t},{r},{b},9.5,1.5,1.6,4,1,1.6,20,1.5,1.6", -1, "car"),
+    "world": ("{g},7,{x},{y},{w},{h},1,2.5,-3.25,0.5", 7, ""),
+    "mot17": ("{g},7,{x},{y},{w},{h},1,3,0.5", 7, "car"),
+}
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_layouts_that_look_alike(tmp_path: Path, name: str) -> None:
+    layout, identity, class_name = LAYOUTS[name]
+    path = tmp_path / "boxes.txt"
+    path.write_text(rows_in(layout))
+    rows = read_mot(path)
+    assert rows.frame.tolist() == list(range(12))
+    assert set(rows.track_id.tolist()) == {identity}
+    assert set(rows.class_name) == {class_name}
+    np.testing.assert_allclose(rows.xyxy_px[[0, -1]], [BOX, [144, 50, 174, 90]], atol=1e-9)
+    assert not rows.is_region.any()
+    assert len(rows.notes) == (name == "frames from 0")
+
+
+def test_columns_of_both_meanings_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "boxes.txt"
+    path.write_text("0,100,200,300,400,87\n1,104,200,304,400,85\n")  # corners and per cent, or id, x, y, w, h
+    with pytest.raises(MotFormatError, match="both"):
+        read_mot(path)
+    path.write_text("0,100.5,200,30,40,0.5\n1,104.5,200,34,40,0.5\n")  # left, top, width, height and a score
+    with pytest.raises(MotFormatError, match="neither"):
+        read_mot(path)
+
+
+def test_frames_that_end_with_the_number_of_images(tmp_path: Path) -> None:
+    path = tmp_path / "boxes.txt"
+    path.write_text(rows_in("{g},{l},{t},{r},{b},0.4"))
+    assert read_mot(path).frame.tolist() == list(range(1, 13))  # rows of corners count from 0
+    assert read_mot(path, 12).frame.tolist() == list(range(12))
+    assert read_mot(path, 40).frame.tolist() == list(range(1, 13))
+
+
+def test_classes_of_labels_txt(tmp_path: Path) -> None:
+    path = tmp_path / "gt.txt"
+    path.write_text(rows_in("{g},7,{x},{y},{w},{h},1,2,1") + "1,8,1,1,9,9,0,1,1\n")
+    (tmp_path / "labels.txt").write_text("truck\ncar\n")
+    rows = read_mot(path)
+    assert set(rows.class_name[:-1]) == {"car"}
+    assert (rows.class_name[-1], rows.is_region.nonzero()[0].tolist()) == ("truck", [12])
+
+
+def test_several_cameras_of_ai_city_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "boxes.txt"
+    path.write_text(rows_in("6 7 {g} {x:.0f} {y:.0f} {w:.0f} {h:.0f} -1 -1\n8 7 {g} 1 1 9 9 -1 -1"))
+    with pytest.raises(MotFormatError, match="one camera"):
+        read_mot(path)

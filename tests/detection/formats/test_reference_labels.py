@@ -174,9 +174,9 @@ def test_repeated_distances_are_interpolated(tmp_path: Path) -> None:
 
 
 def test_renamed_label_open_end_and_empty_track(tmp_path: Path) -> None:
-    tracks = f'<track id="0" label="Lorry">{box(0, 0)}</track><track id="4" label="car"></track>'
+    tracks = f'<track id="0" label="Tractor">{box(0, 0)}</track><track id="4" label="car"></track>'
     table = cvat_of(tmp_path, tracks)
-    assert table.class_name.tolist() == ["lorry"]
+    assert table.class_name.tolist() == ["tractor"]
     assert table.class_id.tolist() == [-1]
     assert [word in " ".join(table.notes) for word in ("without boxes", "outside")] == [True, True]
 
@@ -221,7 +221,7 @@ def test_yolo_with_score_and_identity(tmp_path: Path) -> None:
         (tmp_path / f"drive_{frame}.txt").write_text(f"{row}\n")
     (tmp_path / "drive_2.txt").write_text("2 0.5 0.5 0.2 0.2 0.8 3\n0 0.1 0.1 0.1 0.1\n")
     table = read_labels(tmp_path, SIZE)
-    assert table.frame.tolist() == [1, 2, 2]
+    assert table.frame.tolist() == [0, 1, 1]  # NAME_1 is the first frame
     assert table.track_id.tolist() == [3, -1, 3]
     np.testing.assert_array_equal(table.score, [0.9, np.nan, 0.8])
     assert [word in " ".join(table.notes) for word in ("class names", "start at 1")] == [True, True]
@@ -271,3 +271,26 @@ def test_text_attributes_of_coco(tmp_path: Path, attributes: tuple[object, ...])
     table = read_labels(path)
     assert (table.distance_m[0], table.score[0], table.observed.tolist()) == (12.5, 0.75, [False, True, True])
     assert np.isnan(table.sigma_m).all()
+
+
+@pytest.mark.parametrize(
+    ("numbers", "n_frames", "frames"),
+    [
+        (("1", "2", "11"), None, [0, 1, 10]),  # of Ultralytics
+        (("3", "12"), None, [2, 11]),
+        (("0", "1", "11"), None, [0, 1, 11]),
+        (("01", "02", "11"), None, [1, 2, 11]),
+        (("01", "02", "11"), 11, [0, 1, 10]),
+        (("01", "02", "11"), 12, [1, 2, 11]),
+        (("101", "102"), None, [101, 102]),
+    ],
+)
+def test_frame_numbers_in_names(
+    tmp_path: Path, numbers: tuple[str, ...], n_frames: int | None, frames: list[int]
+) -> None:
+    for number in numbers:
+        (tmp_path / f"drive_{number}.txt").write_text("2 0.5 0.5 0.2 0.2\n")
+    table = read_labels(tmp_path, VideoFacts(size_px=(100, 50), n_frames=n_frames))
+    assert table.frame.tolist() == frames
+    as_in_names = [int(number) for number in numbers]
+    assert read_labels(tmp_path, VideoFacts(size_px=(100, 50), first_frame=1)).frame.tolist() == as_in_names

@@ -95,7 +95,7 @@ def test_motchallenge_folders(tmp_path, cli):
         ("0003.txt", "", "0001, 0002"),
         ("0001.txt", "junk,junk\n", "0001.txt, line 1"),
         ("0001.txt", "1,1,1,1,1,1,1\n1,1,1,1,1,1,1\n", "duplicate"),
-        ("0001.txt", "0,1,1,1,1,1,1\n", "frames from 1"),
+        ("0001.txt", "-1,1,1,1,1,1,1\n", "frame numbers"),
         ("0001.txt", b"\xff\xfe\x00", "text"),
     ],
 )
@@ -137,10 +137,14 @@ def test_wrong_usage(kitti, tmp_path, cli):
     for options, expected, word in (
         (("--class", "zebra"), 1, "zebra"),
         (("--class", "bus"), 2, "car, person, bicycle"),
-        (("--format", "mot", "--class", "car"), 2, "MOTChallenge"),
+        (("--format", "mot", "--class", "car"), 1, "0001.txt, line 1"),
     ):
         status, _, errors = cli("evaluate", "tracks", "--truth", kitti, "--results", kitti, *options)
         assert (status, word in errors) == (expected, True), errors
+    truth = tmp_path / "gt.txt"
+    truth.write_text("1,1,100,100,50,50,1,3,1\n")
+    status, _, errors = cli("evaluate", "tracks", "--truth", truth, "--results", truth, "--class", "car")
+    assert (status, "labels.txt" in errors) == (2, True)
     status, _, errors = cli("evaluate", "tracks", "--truth", tmp_path / "none", "--results", kitti)
     assert (status, "none: no such file" in errors) == (1, True)
 
@@ -175,3 +179,51 @@ def test_motmetrics_on_mot17(shared_data, tmp_path, cli):
     read = json.loads(figures.read_text())
     for name in ("mota", "motp", "idf1", "idsw", "fp", "fn", "mt", "ml"):
         assert read["motmetrics"]["combined"][name] == pytest.approx(read["combined"][name]), name
+
+
+def evaluated(cli, tmp_path, truth, results, *options):
+    """Figures of an evaluation of two files with these texts."""
+    paths = [tmp_path / name for name in ("truth.txt", "tracks.txt")]
+    for path, text in zip(paths, (truth, results), strict=True):
+        path.write_text(text)
+    status, _, errors = cli(
+        "evaluate", "tracks", "--truth", paths[0], "--results", paths[1], "--json", tmp_path / "f.json", *options
+    )
+    assert status == 0, errors
+    return json.loads((tmp_path / "f.json").read_text())
+
+
+def test_truth_without_classes_has_the_given_class(cli, tmp_path):
+    truth = mot_rows((1, 7, 100), (2, 7, 100))
+    results = kitti_rows((0, 7, "Car", 100), (1, 7, "Car", 100), (1, 8, "Pedestrian", 300))
+    read = evaluated(cli, tmp_path, truth, results, "--class", "car")
+    assert (read["class"], read["combined"]["hota"], read["notes"]) == ("car", 100.0, [])
+    read = evaluated(cli, tmp_path, truth, results.replace("Pedestrian", "Car"))
+    assert (read["class"], read["combined"]["fn"]) == ("person", 2)
+    assert "classes car (3)" in read["notes"][0]
+
+
+def test_no_common_frame_is_noted_with_the_shift(cli, tmp_path):
+    def tracks(first):
+        return mot_rows(*((first + i, 1 + j, 100 * j + 3 * i) for i in range(30) for j in (1, 2)))
+
+    (note,) = evaluated(cli, tmp_path, tracks(1), tracks(501))["notes"]
+    assert "0 to 29" in note
+    assert "decreased by 500" in note
+    (note,) = evaluated(cli, tmp_path, tracks(1), tracks(8))["notes"]
+    assert "decreased by 7" in note
+
+
+def test_vans_are_no_cars_of_kitti(cli, tmp_path):
+    """TrackEval and KITTI's development kit count the rows of the type Car only."""
+    truth = kitti_rows((0, 1, "Car", 100), (0, 2, "Van", 300))
+    results = kitti_rows((0, 1, "car", 100), (0, 2, "Van", 300), (0, 3, "Van", 500))
+    read = evaluated(cli, tmp_path, truth, results)
+    assert (read["combined"]["fp"], read["combined"]["fn"], read["combined"]["n"]) == (0, 0, 1)
+
+
+def test_names_of_labels_txt(cli, tmp_path):
+    (tmp_path / "labels.txt").write_text("truck\ncar\n")
+    truth = "1,1,100,100,50,50,1,2,1\n1,2,300,100,50,50,1,1,1\n"
+    read = evaluated(cli, tmp_path, truth, kitti_rows((0, 1, "Car", 100)), "--class", "truck")
+    assert (read["class"], read["combined"]["fn"]) == ("truck", 1)

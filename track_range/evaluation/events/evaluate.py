@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from track_range.detection.classes import ROAD_CLASS_OF
+from track_range.detection.classes import road_class_of
 from track_range.detection.formats.label_formats import is_blank
 from track_range.evaluation.events.scores import (
     CONTACT_COLUMNS,
@@ -224,7 +224,7 @@ def closing_errors(columns: Columns, boxes: Truth, vans: Collection[int] = ()) -
     rows = match_truth(columns["frame"].astype(np.int64), boxes_px(columns), boxes)
     true_mps = np.where((rows >= 0) & in_range[rows], boxes.closing_mps[rows], np.nan)
     is_tall = np.isin(boxes.kitti_type, _TALL_CLASSES) | np.isin(boxes.track_id, list(vans))
-    classes = np.array([ROAD_CLASS_OF.get(str(name), str(name)) for name in boxes.kitti_type], np.str_)
+    classes = np.array([road_class_of(name) or str(name) for name in boxes.kitti_type], np.str_)
     sections = {}
     for name, chosen in [*((name, classes == name) for name in np.unique(classes[in_range])), (TALL, is_tall)]:
         class_mps = np.where((rows >= 0) & chosen[rows], true_mps, np.nan)

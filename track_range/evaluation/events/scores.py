@@ -34,7 +34,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from track_range.detection.boxes import iou
-from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES
+from track_range.detection.classes import ROAD_CLASSES, road_class_of
 from track_range.detection.formats.label_formats import read_labels
 from track_range.detection.formats.video_labels.csv_labels import has_label_columns, read_csv_labels
 from track_range.evaluation.events.settings import MIN_LEAD_S
@@ -72,12 +72,13 @@ def read_contacts(path: Path) -> tuple[Contact, ...]:
             is_valid &= values.round() == values
         table.check(name, values, is_valid, expected)
         numbers[name] = values.tolist()
-    names = [name.lower() for name in table.texts("class")]
-    for row, name in enumerate(names):
-        if name not in ROAD_CLASS_OF:
+    classes = list[str]()
+    for row, name in enumerate(table.texts("class")):
+        if (road_class := road_class_of(name)) is None:
             raise table.fault(row, f"expected one of the classes {', '.join(ROAD_CLASSES)}, got {quoted(name)}.")
-    rows = zip(numbers["object_id"], names, numbers["contact_s"], strict=True)
-    return tuple(Contact(int(object_id), ROAD_CLASS_OF[name], contact_s) for object_id, name, contact_s in rows)
+        classes.append(road_class)
+    rows = zip(numbers["object_id"], classes, numbers["contact_s"], strict=True)
+    return tuple(Contact(int(object_id), name, contact_s) for object_id, name, contact_s in rows)
 
 
 Scores = dict[str, Any]  # sections `overall` and `by_kind`, and lists of single results, as in the JSON file
@@ -188,7 +189,7 @@ def _cost(event: Event, label: Event) -> float:
 
 def are_same_class(one: str, other: str) -> bool:
     """Whether two objects may be the same: vehicles are confused, and riders with two-wheelers; "" = unknown class."""
-    groups = {_GROUPS.get(ROAD_CLASS_OF.get(name.lower(), name.lower()), name.lower()) for name in (one, other) if name}
+    groups = {_GROUPS.get(road_class_of(name) or name.lower(), name.lower()) for name in (one, other) if name}
     return len(groups) < 2
 
 

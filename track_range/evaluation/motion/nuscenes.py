@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from track_range.detection.classes import ROAD_CLASS_OF
+from track_range.detection.classes import road_class_of
 from track_range.detection.formats.errors import LabelFileError
 from track_range.evaluation.motion.labelled_motion import LabelledMotion, track_slopes
 from track_range.foundation.arrays import FloatArray
@@ -53,10 +53,13 @@ def read_mono3d(path: Path) -> Mono3dLabels:
         ) from error
 
 
+_CLASSES = ("car", "truck", "bus", "bicycle", "motorcycle", "pedestrian")  # nuScenes' categories that are evaluated
+
+
 def _labels(content: Any) -> Mono3dLabels:
     names = {category["id"]: category["name"] for category in content["categories"]}
     image_of = {image["id"]: image for image in content["images"]}
-    rows = [row for row in content["annotations"] if names[row["category_id"]] in ROAD_CLASS_OF]
+    rows = [row for row in content["annotations"] if names[row["category_id"]] in _CLASSES]
     images = [image_of[row["image_id"]] for row in rows]
     K = np.array([image["cam_intrinsic"] for image in images], np.float64)
     cameras, sequence = np.unique([image["file_name"].split("/")[-2] for image in images], return_inverse=True)
@@ -81,7 +84,7 @@ def _labels(content: Any) -> Mono3dLabels:
         time_s=time_s - time_s.min(),
         track_id=np.unique(size_hwl_m.round(3), axis=0, return_inverse=True)[1].reshape(-1),
         kitti_type=np.array([names[row["category_id"]] for row in rows]),
-        class_name=np.array([ROAD_CLASS_OF[names[row["category_id"]]] for row in rows]),
+        class_name=np.array([road_class_of(names[row["category_id"]]) for row in rows]),
         xyxy_px=np.stack([left, top, left + width, top + height], axis=1),
         fxycxy_px=K[:, [0, 1, 0, 1], [0, 1, 2, 2]],
         size_px=size_px,

@@ -10,19 +10,19 @@ from typing import Any
 
 import numpy as np
 
-from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes, road_class_id
+from track_range.detection.classes import KITTI_IGNORED, ROAD_CLASSES, map_to_road_classes, road_class_id
 from track_range.detection.formats.box_table import NO_FACTS, BoxTable
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import is_blank, label_format_of, read_labels
-from track_range.detection.formats.table_checks import other_labels_note
+from track_range.detection.formats.table_checks import names_with_counts, other_labels_note
 from track_range.detection.formats.video_labels.kitti import read_kitti
-from track_range.detection.formats.video_labels.mot import read_mot
+from track_range.detection.formats.video_labels.mot import MOT_CLASSES, read_mot
 from track_range.evaluation.sequences import find
 from track_range.evaluation.sequences.settings import TRUTH_FORMATS, TrackEvaluationSettings
 from track_range.foundation.arrays import IntArray
 from track_range.foundation.errors import UsageError
-from track_range.foundation.files.input_files import counted
-from track_range.tracking.evaluation.benchmark_rules import KITTI_TYPES, kitti_cleaned, mot_cleaned
+from track_range.foundation.files.input_files import counted, real_path
+from track_range.tracking.evaluation.benchmark_rules import KITTI_TYPES, kitti_cleaned, mot_cleaned, of_kitti_type
 from track_range.tracking.evaluation.frame_shift import frame_shift_note
 from track_range.tracking.evaluation.motmetrics_comparison import motmetrics_figures
 from track_range.tracking.evaluation.scores import TrackingCounts
@@ -30,7 +30,6 @@ from track_range.tracking.evaluation.tracked_boxes import Similarity, TrackedBox
 
 _DUPLICATE = "expected each track id at most once per frame, found a duplicate."
 
-_BENCHMARKS = ("mot", "kitti")  # formats of ground truth with rules for boxes that are ignored
 COUNTS = ("idsw", "fp", "fn", "frag", "mt", "pt", "ml", "n")  # metrics that are counts; the others are in per cent
 
 
@@ -51,17 +50,19 @@ def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
     tracked = find.find_sequences(results_folder, "det")
     pairs = find.paired(labelled, tracked)
     notes: list[str] = []
-    if form in _BENCHMARKS:
-        name = _class_of(form, settings.road_class)
+    if form == "kitti" or (form == "mot" and all(_is_mot_challenge(labels.path) for labels in labelled)):
+        name = _class_of(form, settings.road_class, [labels.path for labels, _ in pairs])
         boxes = {labels.name: _cleaned(labels, tracks, form, name) for labels, tracks in pairs}
     else:
         tables = {labels.name: _truth_table(labels.path, settings.truth_format, notes) for labels, _ in pairs}
         name = _class_of_labels(tables.values(), settings.road_class)
         notes += [note for _, tracks in pairs for note in _no_classes_note(tracks.path, name)]
         boxes = {
-            labels.name: (_boxes_of(tables[labels.name], name, labels.path), _read_results(tracks.path, name))
+            labels.name: (_boxes_of(tables[labels.name], name, labels.path), _read_results(tracks.path, name, form))
             for labels, tracks in pairs
         }
+    if not any(len(tracked_boxes) for _, tracked_boxes in boxes.values()):
+        notes += _other_classes_note([tracks.path for _, tracks in pairs], name)
     similarity = {key: Similarity.of(*both) for key, both in boxes.items()}
     counts = {key: TrackingCounts.of_similarity(value) for key, value in similarity.items()}
     combined = TrackingCounts.sum_of(list(counts.values()))
@@ -124,16 +125,34 @@ def _truth_table(path: Path, form: str | None, notes: list[str]) -> BoxTable:
 
 def _no_classes_note(path: Path, road_class: str) -> tuple[str, ...]:
     """A note on results without classes, which `--class` cannot filter."""
-    if is_blank(path, "tracks") or label_format_of(path, "tracks").name != "mot":
+    if is_blank(path, "tracks") or label_format_of(path, "tracks").name != "mot" or any(read_mot(path).class_name):
         return ()
     return (f"{path.name}: rows of MOTChallenge have no class, so all tracks count as {road_class}.",)
 
 
-def _boxes_of(table: BoxTable, road_class: str, path: Path) -> TrackedBoxes:
-    table = table.select(table.class_id == ROAD_CLASSES.index(road_class))
+def _other_classes_note(paths: Iterable[Path], road_class: str) -> tuple[str, ...]:
+    """A note on results that have only other classes than the evaluated one."""
+    names = [read_labels(path, expected="tracks").class_name for path in paths if not is_blank(path, "tracks")]
+    if not (counts := names_with_counts(np.concatenate([np.zeros(0, np.str_), *names]))):
+        return ()
+    return (
+        f"No track has the class {road_class} that is evaluated; the boxes of the results have the classes {counts}; "
+        "choose one with --class.",
+    )
+
+
+def _boxes_of(table: BoxTable, road_class: str, path: Path, form: str = "") -> TrackedBoxes:
+    """The boxes of a class; for ground truth in KITTI's format (`form`), without those of its neighbouring types."""
+    is_class = table.class_id == ROAD_CLASSES.index(road_class)
+    if form == "kitti":
+        is_class &= ~np.isin(table.class_name, [name.lower() for name in KITTI_IGNORED if name != "Person"])
+    table = table.select(is_class)
     if (table.track_id < 0).any():
         raise LabelFileError(f"{path}: expected a track id for each box, found boxes without.")
-    return TrackedBoxes(table.frame, table.track_id, table.xyxy_px, table.class_id)
+    try:
+        return TrackedBoxes(table.frame, table.track_id, table.xyxy_px, table.class_id)
+    except ValueError as error:
+        raise LabelFileError(f"{path}: {_DUPLICATE}") from error
 
 
 def _class_of_labels(tables: Iterable[BoxTable], road_class: str | None) -> str:
@@ -144,12 +163,21 @@ def _class_of_labels(tables: Iterable[BoxTable], road_class: str | None) -> str:
     return ROAD_CLASSES[int(np.bincount(class_id, minlength=len(ROAD_CLASSES)).argmax())] if len(class_id) else "car"
 
 
-def _class_of(form: str, road_class: str | None) -> str:
+def _is_mot_challenge(path: Path) -> bool:
+    """Whether rows have MOTChallenge's class numbers, or none, so that its rules apply."""
+    return is_blank(path, "ground truth") or read_mot(path).names == MOT_CLASSES
+
+
+def _class_of(form: str, road_class: str | None, paths: Iterable[Path]) -> str:
+    """The class to evaluate by the rules of KITTI or MOTChallenge; truth without classes has that of `--class`."""
     if road_class is None:
         return "car" if form == "kitti" else "person"
     name = ROAD_CLASSES[road_class_id(road_class)]
-    if form == "mot" and name != "person":
-        raise UsageError(f"--class {road_class}: expected person, the only class of MOTChallenge's ground truth.")
+    if form == "mot" and name != "person" and any(any(read_mot(path).class_name) for path in paths):
+        raise UsageError(
+            f"--class {road_class}: expected person, the only class that MOTChallenge evaluates in ground truth with "
+            "its class numbers; for other numbers, write their names into labels.txt beside the file."
+        )
     if form == "kitti" and name not in KITTI_TYPES:
         raise UsageError(
             f"--class {road_class}: expected a class of KITTI's tracking labels: {', '.join(KITTI_TYPES)}."
@@ -161,31 +189,41 @@ def _cleaned(
     truth: find.SequenceFile, results: find.SequenceFile, form: str, road_class: str
 ) -> tuple[TrackedBoxes, TrackedBoxes]:
     """The boxes of truth and results of one sequence that are evaluated by the benchmark's rules."""
+    tracked = _read_results(results.path, road_class, form)
     if form == "mot":
         rows = read_mot(truth.path)
         _check_once(truth.path, rows.frame, rows.track_id)
-        return mot_cleaned(rows, _read_results(results.path, road_class))
+        is_mot20 = any("mot20" in part.lower() for part in (truth.name, *real_path(truth.path).parts))
+        return mot_cleaned(rows, tracked, is_mot20=is_mot20)
     labels = read_kitti(truth.path)
     named = labels.track_id >= 0
     _check_once(truth.path, labels.frame[named], labels.track_id[named])
-    return kitti_cleaned(labels, _read_results(results.path, road_class), road_class)
+    return kitti_cleaned(labels, tracked, road_class)
 
 
-def _read_results(path: Path, road_class: str) -> TrackedBoxes:
-    """Tracks of one class with frames from 0, read from MOT rows (frames from 1, no class) or KITTI rows."""
+def _read_results(path: Path, road_class: str, truth_form: str) -> TrackedBoxes:
+    """Tracks of one class with frames from 0; rows of MOTChallenge without a class all count.
+
+    For ground truth of KITTI, rows of KITTI count by their type: those of vans are not cars.
+    """
     class_id = ROAD_CLASSES.index(road_class)
-    form = "" if is_blank(path, "tracks") else label_format_of(path, "tracks").name
-    if form not in ("", *_BENCHMARKS):
-        return _boxes_of(read_labels(path, NO_FACTS, expected="tracks"), road_class, path)
-    frame, track_id, xyxy_px = np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 4))
-    if form == "mot":
-        rows = read_mot(path)
-        frame, track_id, xyxy_px = rows.frame, rows.track_id, rows.xyxy_px
-    elif form == "kitti":
+    if is_blank(path, "tracks"):
+        return TrackedBoxes(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 4)), np.zeros(0, np.int64))
+    form = label_format_of(path, "tracks").name
+    if form == "kitti" and truth_form == "kitti":
         labels = read_kitti(path)
-        is_class = map_to_road_classes([str(name) for name in labels.kitti_type]) == class_id
-        labels = labels.select(is_class & (labels.track_id >= 0))
+        labels = labels.select(of_kitti_type(labels, KITTI_TYPES[road_class][:1]))
         frame, track_id, xyxy_px = labels.frame, labels.track_id, labels.xyxy_px
+    elif form == "mot":
+        rows = read_mot(path)
+        names = rows.class_name
+        is_class = (map_to_road_classes(names) == class_id) | np.array([not name for name in names], np.bool_)
+        frame, track_id, xyxy_px = rows.frame[is_class], rows.track_id[is_class], rows.xyxy_px[is_class]
+    else:
+        table = read_labels(path, NO_FACTS, expected="tracks")
+        if form == "kitti":
+            table = table.select(table.track_id >= 0)
+        return _boxes_of(table, road_class, path, truth_form)
     try:
         return TrackedBoxes(frame, track_id, xyxy_px, np.full(len(frame), class_id))
     except ValueError as error:

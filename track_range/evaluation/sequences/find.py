@@ -90,7 +90,8 @@ def paired(truth: Sequence[SequenceFile], results: Sequence[SequenceFile]) -> li
 def ignored_files_note(path: Path, sequences: Sequence[SequenceFile]) -> tuple[str, ...]:
     """Note about NAME.txt files that were ignored because the folder also has MOTChallenge's layout."""
     used = {sequence.path for sequence in sequences}
-    ignored = [file.name for file in _text_files(path) if file not in used] if path.is_dir() else []
+    is_plain = path.is_dir() and not _rows_of_run(path)
+    ignored = [file.name for file in _text_files(path) if file not in used] if is_plain else []
     return (f"{path}: read in MOTChallenge's layout; ignored: {listed(ignored)}.",) if ignored else ()
 
 

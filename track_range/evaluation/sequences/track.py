@@ -15,6 +15,7 @@ import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES, road_class_ids
 from track_range.detection.detections import Detections
+from track_range.detection.formats.box_table import NO_FACTS
 from track_range.detection.formats.detection_files import RecordedDetections, read_detections
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.video_labels.kitti import KITTI_TYPE_OF, kitti_line
@@ -29,6 +30,7 @@ from track_range.foundation.progress import FrameProgress, no_frame_progress
 from track_range.recording.frame import VideoError
 from track_range.recording.open_video import open_video
 from track_range.recording.recorded_video import RecordedVideo
+from track_range.run.export.source import facts_of_video
 from track_range.run.options.detection import check_tracker
 from track_range.run.options.opened import open_tracker_options
 from track_range.tracking.offline_refinement import OfflineRefinement
@@ -91,7 +93,7 @@ def track(
             make_folder(settings.out / find.KITTI_FOLDER)
         for sequence, images in zip(sequences, all_images, strict=True):
             try:
-                recorded = _read(sequence.path, class_id, settings)
+                recorded = _read(sequence.path, class_id, settings, images)
                 tracker = create_tracker(settings.tracker, tracker_options)
                 tracked, notes = _track_one(sequence, recorded, images, tracker, settings, progress)
             except (LabelFileError, VideoError) as error:
@@ -106,9 +108,10 @@ def track(
     return TrackedFiles(tuple(done), failed)
 
 
-def _read(path: Path, class_id: int, settings: TrackSettings) -> RecordedDetections:
+def _read(path: Path, class_id: int, settings: TrackSettings, images: Path | None) -> RecordedDetections:
     """The boxes of a sequence, with notes for the user; an empty file is a sequence without boxes."""
-    recorded = read_detections(path, default_class_id=class_id, form=settings.form)
+    video = NO_FACTS if images is None else facts_of_video(images)
+    recorded = read_detections(path, default_class_id=class_id, form=settings.form, video=video)
     detections, notes = recorded.detections, recorded.notes[1:]  # the first note is on the detected format
     if settings.reid is not None:  # its embeddings replace those of the file
         detections = Detections.of(detections.xyxy_px, detections.score, detections.class_id)

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from track_range.detection.formats.box_table import BoxTable, VideoFacts, file_name_part
+from track_range.detection.formats.box_table import NO_FACTS, BoxTable, VideoFacts, file_name_part
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import label_format_of
 from track_range.foundation.arrays import Image
@@ -78,16 +78,19 @@ def _video_of(settings: Mapping[str, Any]) -> str:
     return str(video or "")
 
 
+def facts_of_video(video: Path) -> VideoFacts:
+    """Properties of a video or folder of images; VideoError if it cannot be read."""
+    with closing(open_video(video)) as reader:
+        return VideoFacts(video.stem, reader.n_total, 0, (reader.width_px, reader.height_px), reader.fps)
+
+
 def boxes_of_labels(path: Path, *, video: Path | None, first_frame: int) -> BoxTable:
     """The boxes of a label file, with frames from 0; `first_frame`: number of the video's first frame in the file.
 
     LabelFileError: the file cannot be read, or has boxes before the first frame; VideoError: the video cannot be read.
     """
-    facts = VideoFacts()
-    if video is not None:
-        with closing(open_video(video)) as reader:
-            facts = VideoFacts(video.stem, reader.n_frames, 0, (reader.width_px, reader.height_px), reader.fps)
-    table = label_format_of(path).read(path, facts)
+    facts = NO_FACTS if video is None else facts_of_video(video)
+    table = label_format_of(path).read(path, replace(facts, first_frame=first_frame))
     if first_frame:
         if len(table) and table.frame[0] < first_frame:
             raise LabelFileError(

@@ -19,7 +19,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from track_range.detection.classes import ROAD_CLASS_OF
+from track_range.detection.classes import road_class_of
 from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.simulation.render.renderer import Renderer
 from track_range.simulation.render.surface import centre_depth_m
@@ -44,7 +44,7 @@ def truth_rows(renderer: Renderer, time_s: float, visible: VisibleObjects) -> st
         lane = None if user.raised_m > 0 else SURROUNDINGS[scene.surroundings].lane_of(user.on_road_m(time_s)[0])
         cells = [
             f"{labels.frame[number]},{time_s:.6f},{labels.track_id[number]}",
-            ROAD_CLASS_OF[str(labels.kitti_type[number]).lower()],
+            road_class_of(labels.kitti_type[number]),
             *(f"{edge:.3f}" for edge in box.tolist()),
             f"{visible.visible_share[number]:.3f}",
             f"{centre_depth_m(body, camera, box):.4f}",
@@ -76,7 +76,7 @@ def kitti_text(labels: KittiLabels) -> str:
 
 def contacts_text(contacts: Iterable[EgoContact]) -> str:
     """Content of contacts.csv, with its header also without contacts."""
-    rows = (f"{row.track_id},{ROAD_CLASS_OF[row.kitti_type.lower()]},{row.contact_s:.4f}\n" for row in contacts)
+    rows = (f"{row.track_id},{road_class_of(row.kitti_type)},{row.contact_s:.4f}\n" for row in contacts)
     return "object_id,class,contact_s\n" + "".join(rows)
 
 
