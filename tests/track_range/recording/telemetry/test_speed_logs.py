@@ -211,7 +211,9 @@ def log_of(kind):
     ("kind", "name"), [(k, f"a.{k}") for k in ("nmea", "vbo", "tcx", "kml")] + [("places", "a.kml")]
 )
 def test_formats(tmp_path, kind, name):
-    check(read(tmp_path, log_of(kind), name))
+    track = read(tmp_path, log_of(kind), name)
+    check(track)
+    assert track.has_own_speed == (kind in ("nmea", "vbo", "tcx"))
 
 
 def fit_file():

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from track_range.foundation.files.input_files import read_text
-from track_range.foundation.files.numeric_text import number, plain_number
+from track_range.foundation.files.numeric_text import plain_number
 from track_range.recording.telemetry.positions import MPS_PER_UNIT
 from track_range.recording.telemetry.samples import Sample, plain_track, track
 from track_range.recording.telemetry.sidecars.time_texts import unwrapped
@@ -68,7 +68,7 @@ def _without_rmc(lines: Iterable[str], path: Path) -> TelemetryTrack | None:
                 lat, lon = (float(message.latitude), float(message.longitude)) if has_fix else (math.nan, math.nan)
                 samples.append(Sample(clock_s, clock_s, math.nan, math.nan, lat, lon))
             elif match[1] == "VTG" and samples:
-                speed_mps = number(message.spd_over_grnd_kmph or "") * MPS_PER_UNIT["km/h"]
+                speed_mps = float(message.spd_over_grnd_kmph) * MPS_PER_UNIT["km/h"]
                 course_deg = plain_number(message.true_track)
                 samples[-1] = samples[-1]._replace(speed_mps=speed_mps, course_deg=course_deg)
             elif match[1] == "ZDA":
