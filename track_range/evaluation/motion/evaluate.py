@@ -23,18 +23,14 @@ def evaluate_motion(settings: MotionEvaluationSettings) -> dict[str, Any]:
     shown = {"labels": str(settings.labels), "data": settings.data}
     if settings.data == "tusimple":
         truth, measured, score = tusimple_motion(settings.labels)
-        figures, note = (
-            {**motion_figures(truth, measured), "velocity_score": score},
-            "Measured by runs with one camera.",
-        )
+        figures = {**motion_figures(truth, measured), "velocity_score": score}
+        note = "Measured by runs with one camera."
     else:
         truth = _truth(settings)
         sigma_px = settings.noise_px if settings.boxes == "labels" else None
         options = MethodOptions(is_cross_validated=settings.cross_validate, box_sigma_px=sigma_px)
-        is_ego_known = settings.ego == "poses"
-        measured = measured_motion(
-            truth, settings.method, options, is_ego_known=is_ego_known, look_ahead=settings.look_ahead
-        )
+        known = {"is_ego_known": settings.ego == "poses", "look_ahead": settings.look_ahead}
+        measured = measured_motion(truth, settings.method, options, **known)
         figures, note = motion_figures(truth, measured), f"Ego speed: {settings.ego}."
         names = ("boxes", "noise_px", "seed", "method", "ego", "look_ahead")
         shown |= {name: getattr(settings, name) for name in names} | {"cross_validated": settings.cross_validate}
