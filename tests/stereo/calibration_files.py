@@ -42,9 +42,14 @@ RAW = StereoRig(
 )
 """Two distorted cameras that are not quite parallel."""
 
-FOUR = replace(
-    RAW, **{s: replace(getattr(RAW, s), distortion=getattr(RAW, s).distortion[:4]) for s in ("left", "right")}
-)
+
+def with_coefficients(rig: StereoRig, n: int) -> StereoRig:
+    """The rig with the first `n` coefficients of the distortion, or zeros."""
+    left, right = (replace(camera, distortion=(*camera.distortion, *[0.0] * n)[:n]) for camera in (rig.left, rig.right))
+    return replace(rig, left=left, right=right)
+
+
+FOUR = with_coefficients(RAW, 4)
 PARALLEL = StereoRig.rectified(PinholeCamera(400.5, 400.5, 340.25, 190.5, *SIZE), 0.12)
 
 
@@ -591,10 +596,7 @@ _SHIFTED = replace(PARALLEL, right=replace(PARALLEL.right, cx_px=350.25))
 CALIBRATIONS = (
     Calibration("rig.yaml", ours),
     Calibration("ZED SN*.conf", zed),
-    Calibration("OAK calibration JSON", oak, replace(
-        RAW, left=replace(RAW.left, distortion=(*RAW.left.distortion, *[0.0] * 9)),
-        right=replace(RAW.right, distortion=(*RAW.right.distortion, *[0.0] * 9)),
-    )),
+    Calibration("OAK calibration JSON", oak, with_coefficients(RAW, 14)),
     Calibration("OAK calibration JSON, fisheye", oak, FISHEYE),
     Calibration("RealSense rs-enumerate-devices -c", realsense, PARALLEL),
     Calibration("RealSense JSON", realsense_json),

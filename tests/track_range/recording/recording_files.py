@@ -191,12 +191,12 @@ def bayer(folder: Path, pair: Pair) -> Written:
     return written._replace(options={"bayer": "rggb"})
 
 
-def videos(folder: Path, pair: Pair, *, suffix: str = "mp4", **options: Any) -> Written:
+def videos(
+    folder: Path, pair: Pair, *, suffix: str = "mp4", names: tuple[str, str] = ("left", "right"), **options: Any
+) -> Written:
     """Two videos."""
-    paths = [
-        write_video(folder / f"{s}.{suffix}", [im], **options) for s, im in zip(("left", "right"), pair, strict=True)
-    ]
-    return Written(tuple(paths), {})
+    both = zip(names, pair, strict=True)
+    return Written(tuple(write_video(folder / f"{name}.{suffix}", [side], **options) for name, side in both), {})
 
 
 def one_file(
