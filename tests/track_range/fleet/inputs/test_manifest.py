@@ -113,7 +113,6 @@ def test_rig_option_and_column(tmp_path, filled):
         ("left\ns3://user:secret@bucket/a.mp4\n", "line 2"),
         ("left,vehicle\na,b,c,d\n", "line 2"),
         ('left\n"a\n', "quotation"),
-        ("left;right\na;b\n", "commas"),
         ("left\n" + "a" * 20_000 + "\n", "line 2"),
     ],
 )

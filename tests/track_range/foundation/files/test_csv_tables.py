@@ -80,3 +80,12 @@ def test_not_a_table(tmp_path: Path, content: str | bytes, word: str) -> None:
 def test_missing_file(tmp_path: Path) -> None:
     with pytest.raises(TableError, match=r"none.csv: .*file"):
         read_csv_table(tmp_path / "none.csv", TableError, "columns a and b")
+
+
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_other_separators_and_decimal_commas(tmp_path: Path, separator: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(separator.join(["\na", '"b, c"', "d"]) + "\n" + separator.join(["1,5", "-2,25E-01", "x,y"]) + "\n")
+    table = read_csv_table(path, ValueError, "numbers")
+    assert table.header == ("a", "b, c", "d")
+    assert [table.numbers("a")[0], table.numbers("b, c")[0], table.texts("d")[0]] == [1.5, -0.225, "x,y"]

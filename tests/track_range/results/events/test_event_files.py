@@ -117,7 +117,6 @@ HEADER = "kind,start_s,peak_s,end_s,warning_s,frame,track_id,class,probability"
         (f"{HEADER}\ncut_in,1,2,3,,1,1,car,1.5\n", "probability"),
         (f"{HEADER}\ncut_in,1,2,3,,1,1,{'x' * 3000},\n", "class"),
         (f"{HEADER}\ncut_in,1,2,3,,1,1,car,0.5,7,8\n", "cells"),
-        ("kind;start_s;end_s\ncut_in;1;2\n", "commas"),
         ("kind,start_s,end_s,kind\ncut_in,1,2,cut_in\n", "one column"),
     ],
 )
