@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import ndtr, ndtri
+from scipy.special import expit, logit, ndtr, ndtri
 
 from benchmarks.boxes import error_model as model
 from benchmarks.boxes.error_model import AppearanceErrors, ClassErrors, StereoErrors
@@ -116,7 +116,8 @@ def _detected(
     quantile = ndtr(latent)
     rows = np.flatnonzero(quantile > 1 - rate)  # large latent values are detected, with high scores
     within = np.clip((quantile[rows] - 1 + rate[rows]) / rate[rows], 1e-6, 1 - 1e-6)
-    scores = np.clip(score[rows] + model.SCORE_SIGMA * ndtri(within), model.MIN_SCORE, model.MAX_SCORE)
+    median = np.clip(score[rows], 0.02, model.MAX_SCORE)
+    scores = np.clip(expit(logit(median) + model.SCORE_SIGMA * ndtri(within)), model.MIN_SCORE, model.MAX_SCORE)
     moves = bias[rows] + sigma[rows] * edges[rows]
     moves[:, 2:] += (0.25 * np.log1p((model.SMALLEST_HEIGHT_PX / height_px[rows]) ** 4))[:, None]
     boxes = _moved(true.xyxy_px[rows], moves)

@@ -13,8 +13,8 @@ from track_range.detection.boxes import area_px2
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.stereo.geometry.camera import PinholeCamera
 
-_HEIGHT_M = {0: 1.7, 2: 1.5, 5: 3.0, 6: 0.9}  # height of an object by class id, m
-_ASPECT = {0: 0.38, 2: 1.2, 5: 1.2, 6: 0.4}  # width of a box relative to its height by class id
+_HEIGHT_M = {0: 1.7, 2: 1.5, 5: 3.0, 6: 0.9, 7: 0.7}  # height of an object by class id, m
+_ASPECT = {0: 0.38, 2: 1.2, 5: 1.2, 6: 0.4, 7: 1.0}  # width of a box relative to its height by class id
 _VISIBLE_FRACTION = 0.5  # smallest fraction of a false box inside the image
 
 

@@ -37,6 +37,7 @@ _CENTRE_SIGMA_PX, _CENTRE_SIGMA_FRACTION = 1.0, 0.02  # of a box centre: px, plu
 _GATE_SIGMA = 5.0  # gate in standard deviations of the innovation; measurements outside are ignored
 _OUTSIDE_S, _MAX_GAP_S = 0.25, 1.0  # without a measurement inside the gate, or any, after which a filter restarts
 _BORDER_PX, _BORDER_FRACTION = 2.0, 0.1  # from the border of a box that it cuts: px, plus a fraction of its height
+_MAX_CUT_S = 0.3  # longest time for which the lateral speed from before a box was cut counts as current
 _LEAST_WIDTH_FRACTION = 0.8  # of the smallest width of its class; in a narrower box, a part of the object is hidden
 _SIZES_M = {  # typical length and smallest width of each class, m
     "person": (0.3, 0.4),
@@ -64,6 +65,7 @@ class LateralMotion:
 
     state: ConstantVelocity  # x in m, positive = right, and u in m/s, (N,) each; NaN = unknown
     half_width_m: FloatArray  # (N,) half the width of the object, from its current box; NaN = unknown distance
+    is_current: BoolArray  # (N,) False = only extrapolated, since the left or right image border cuts the box
 
 
 class _LateralState(NamedTuple):
@@ -136,7 +138,8 @@ class LateralFilters:
         new = _LateralState(*state.columns, np.full(len(tracks), time_s), measured_s)
         known_s = _LateralState._make(self._tracks.known).measured_s
         self._tracks.put(tracks.track_id, np.array(new), keep_known=time_s - known_s <= _MAX_GAP_S)
-        return LateralMotion(state, half_width_m)
+        is_cut = sides_cut(tracks, self._camera).any(axis=0)
+        return LateralMotion(state, half_width_m, ~is_cut | (time_s - measured_s <= _MAX_CUT_S))
 
     def _measured(self, tracks: Tracks, distance_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
         """Lateral position of the centre, its standard deviation, half the width in m, and whether a box is whole."""

@@ -4,6 +4,8 @@ Speed of the object along the road:    u = v + V    a Kalman filter with the sta
 Speed of the ego vehicle:              V            another one with the state [V, V']
 Yaw rate of the ego vehicle:           w            another one with the state [w, w']
 Without ego speed, V = V' = 0. A change of u beyond 3 standard deviations means that the track is on another object.
+The filtered rate v has a model of the motion, and takes about a second to forget another object; so a filter without a
+model has to confirm it before an alarm starts.
 
 Ego path: the yaw rate goes on changing as it does, and its change w' is a random walk with the density q. In its
 coordinates, an object at the distance z, which the ego vehicle reaches after T = z / V, has
@@ -30,6 +32,7 @@ from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.foundation.track_state import TrackState
 from track_range.ranging.filtering.distance_filter import FilteredRanges
 from track_range.ranging.filtering.lateral_motion import LateralMotion
+from track_range.ranging.ranges import Ranges
 from track_range.ranging.warning.contact import (
     Encounter,
     contact_probability,
@@ -73,6 +76,10 @@ Fitted on drives without images (seeds 0 to 7, fused: 1.9 h of harmless driving,
 drives (30 of the seeds 0 to 29, stereo), for the smallest error of the reliability diagram above 0.1 on the worse of
 both."""
 
+_FREE_NOISE, _FREE_SIGMA_MPS = 3.0, 30.0
+"""Process noise, m/s per square root of a second, and first standard deviation of rates if all speeds are possible."""
+
+_CONFIRMED_SIGMA = 2.0  # standard deviations by which such a rate may be above the filtered one when an alarm starts
 _REACH_SIGMA = 3.0  # standard deviations of the gap beyond which an object is out of reach
 
 
@@ -136,6 +143,11 @@ class _WarningState(NamedTuple):
     P_uu: FloatArray
     P_ua: FloatArray
     P_aa: FloatArray
+    d: FloatArray  # measured distance, m, and its rate r, by a filter without a model of the motion
+    r: FloatArray
+    P_dd: FloatArray
+    P_dr: FloatArray
+    P_rr: FloatArray
     time_s: FloatArray  # of the state
     certain_s: FloatArray  # since when the probability is known
     known_s: FloatArray  # time of the last distance
@@ -180,6 +192,7 @@ class CollisionWarning:
         *,
         ego_mps: float = math.nan,
         yaw_rad_s: float = math.nan,
+        ranges: Ranges | None = None,
     ) -> Warnings:
         """Warnings of this frame.
 
@@ -190,6 +203,7 @@ class CollisionWarning:
             time_s: time of the frame, not earlier than that of the previous frame.
             ego_mps: speed V of the ego vehicle; NaN = unknown.
             yaw_rad_s: its yaw rate, positive = to the right; NaN = unknown.
+            ranges: their distances in this frame, not filtered, which confirm the closing speed; None = unknown.
         """
         settings, ego = self.settings, self._ego
         ego.update(time_s, ego_mps, yaw_rad_s)
@@ -206,7 +220,7 @@ class CollisionWarning:
         measured = replace(measured, P_vv=measured.P_vv + (sigma_m / settings.drift_s) ** 2)
         own, starts = self._own_motion(measured, last, time_s, is_known)
         is_plausible = (np.abs(own.x) < _MAX_SPEED_MPS) & (np.abs(own.v) < _MAX_ACCELERATION_MPS2)
-        is_usable = is_known & is_certain & is_plausible & _CAN_COLLIDE[tracks.class_id]
+        is_usable = is_known & is_certain & is_plausible & lateral.is_current & _CAN_COLLIDE[tracks.class_id]
 
         # Position relative to the ego path.
         gap = _without_lag(measured, own.v, own.P_vv)
@@ -232,6 +246,8 @@ class CollisionWarning:
             may_start[rows] |= self._cuts_in(encounter, time_s - beside_s[rows]) & ~is_person[rows]
 
         # Alarm.
+        free = _free_motion(ranges, last, time_s)
+        may_start &= ~(free.v - gap.v > _CONFIRMED_SIGMA * np.sqrt(free.P_vv))  # True for NaN
         certain_s = np.where(is_usable, np.where(starts, time_s, np.fmin(last.certain_s, time_s)), np.nan)
         may_start &= time_s - certain_s >= np.where(is_person, settings.min_person_s, settings.min_track_s) - 1e-9
         may_end = ~(probability >= settings.off_probability)
@@ -243,6 +259,7 @@ class CollisionWarning:
 
         new = _WarningState(
             *own.columns,
+            *free.columns,
             time_s=np.full(len(tracks), time_s),
             certain_s=certain_s,
             known_s=np.where(is_known, time_s, last.known_s),
@@ -382,6 +399,17 @@ class CollisionWarning:
         enters = (fraction >= settings.cut_in_probability) & (since_beside_s <= _BESIDE_S) & (offset.x * offset.v < 0)
         is_along = encounter.object_mps > _STATIC_MPS
         return np.asarray(is_near & is_along & enters & (gap.v <= settings.max_cut_in_mps))
+
+
+def _free_motion(ranges: Ranges | None, last: _WarningState, time_s: float) -> ConstantVelocity:
+    """Distances and rates of the tracks by a filter in which every speed is equally probable."""
+    state = ConstantVelocity(*last[5:10]).predict(time_s - last.time_s, q=_FREE_NOISE**2)
+    if ranges is None:
+        return state
+    z, R = ranges.distance_m, ranges.sigma_m**2
+    initial = np.broadcast_arrays(z, 0.0, R, 0.0, _FREE_SIGMA_MPS**2)
+    updated = state.update(z - state.x, R, valid=np.isfinite(z))
+    return ConstantVelocity(*np.where(np.isnan(state.x), initial, updated.columns))
 
 
 def _with_rate(state: ConstantVelocity, rate_mps: float, sigma_mps: FloatArray) -> ConstantVelocity:

@@ -34,8 +34,12 @@ def drive(
     class_id: int = CAR,
     width_m: float = 1.8,
     settings: WarningSettings | None = None,
+    measured_m: Callable[[float], float] | None = None,
 ) -> list[Warnings]:
-    """Warnings of all frames with one object, measured with 1 % of noise in distance and 0.5 px in the box."""
+    """Warnings of all frames with one object, measured with 1 % of noise in distance and 0.5 px in the box.
+
+    `measured_m` replaces the distances that confirm the filtered ones.
+    """
     rng = np.random.default_rng(3)
     filters, lateral = DistanceFilters({"fused": 0.9}), LateralFilters(CAMERA)
     warning, ids = CollisionWarning(settings), np.array([1])
@@ -51,7 +55,10 @@ def drive(
         motion = filters.update(measured, time_s, ego_speed_mps=ego_mps)["fused"]
         own_mps = motion.state.v + ego_mps if math.isfinite(ego_mps) else 0.0
         side = lateral.update(tracks, motion.ranges.distance_m, time_s, yaw_rad_s=yaw, own_mps=own_mps)
-        results.append(warning.update(tracks, motion, side, time_s, ego_mps=ego_mps, yaw_rad_s=yaw))
+        ranges = measured["fused"]
+        if measured_m is not None:
+            ranges = Ranges(ids, np.array([measured_m(time_s)]), ranges.sigma_m)
+        results.append(warning.update(tracks, motion, side, time_s, ego_mps=ego_mps, yaw_rad_s=yaw, ranges=ranges))
     return results
 
 
@@ -78,6 +85,14 @@ def test_standing_car_ahead(ego_mps: float) -> None:
     assert 2.0 < 5.0 - first_alarm_s(results) < 3.6
     assert results[-1].active[0]
     assert results[-1].probability[0] > 0.95
+
+
+@pytest.mark.parametrize(("slope_mps", "starts"), [(-12.0, True), (-11.0, True), (0.0, False), (2.0, False)])
+def test_measured_distances_confirm_the_closing_speed(slope_mps: float, starts: bool) -> None:
+    """The filtered distance falls by 12 m/s; an alarm starts only if the measured ones fall as well."""
+    path: Path = lambda t: (0.2, 61.5 - 12 * t)  # noqa: E731
+    results = drive(path, seconds=4.0, ego_mps=12.0, yaw_rad_s=0.0, measured_m=lambda t: 61.5 + slope_mps * t)
+    assert (first_alarm_s(results) < 3.0) == starts
 
 
 def test_crossing_person() -> None:

@@ -130,6 +130,20 @@ def test_box_cut_by_the_border_is_not_a_measurement() -> None:
     assert n == 4
 
 
+def test_a_box_that_stays_cut_is_not_current() -> None:
+    """Its lateral speed is that from before; 0.3 s after the last whole box it no longer counts."""
+    filters, current = LateralFilters(CAMERA), []
+    for number in range(16):
+        z_m = 14.0 - 8.0 * STEP_S * number
+        cut = np.maximum(box(-4.0, z_m, 1.8), 0.0)
+        motion = filters.update(tracks([cut.tolist()]), np.array([z_m]), number * STEP_S)
+        current.append(bool(motion.is_current[0]))
+        assert motion.state.x[0] == pytest.approx(-4.0, abs=0.3)
+    n_whole = sum(current) - 3
+    assert 8 <= n_whole <= 12
+    assert current == [True] * (n_whole + 3) + [False] * (13 - n_whole)
+
+
 def test_jump_restarts_the_filter() -> None:
     course = Course(CAMERA)
     drive(course, (-6.0, 40.0), (0.0, -10.0))

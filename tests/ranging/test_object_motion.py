@@ -31,7 +31,8 @@ def motion_of(rate_mps, *, distance_m=20.0, sigma_m=0.5, rate_sigma_mps=0.3, sta
 def lateral_of(right_mps, *, x_m=1.0, sigma_mps=0.2):
     u = np.asarray(right_mps, np.float64)
     state = ConstantVelocity(*(np.full_like(u, x) for x in (x_m, 0.0, 0.01, 0.0, sigma_mps**2)))
-    return LateralMotion(ConstantVelocity(state.x, u, state.P_xx, state.P_xv, state.P_vv), np.full_like(u, 0.9))
+    moved = ConstantVelocity(state.x, u, state.P_xx, state.P_xv, state.P_vv)
+    return LateralMotion(moved, np.full_like(u, 0.9), np.ones(u.shape, np.bool_))
 
 
 def ground_of(rate_mps, right_mps, class_id=CAR, ego_mps=EGO_MPS, **options):
