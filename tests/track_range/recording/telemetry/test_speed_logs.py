@@ -5,7 +5,9 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings, strategies as st
 
+from tests.damaged_text import check_damaged, damaged
 from tests.track_range.recording.telemetry.telemetry_files import START_S, part
 from track_range.ranging.world.ego_speed import EgoSpeedError
 from track_range.recording.telemetry.checks import usable
@@ -316,3 +318,20 @@ def test_kinds_that_are_not_read(tmp_path, name, word):
     (tmp_path / name).write_bytes(b"\x01\x02\x03 neither text nor video")
     with pytest.raises(TelemetryError, match=word):
         named_telemetry(tmp_path / name, [part()])
+
+
+DAMAGED = {
+    **{f"a.{kind}": log_of(kind).encode() for kind in ("nmea", "vbo", "tcx", "kml")},
+    "a.fit": fit_file(),
+    "a.csv": table(LAYOUTS["Torque"]).encode(),
+    "b.csv": table(LAYOUTS["vx vy vz"], ";").encode(),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+@settings(deadline=None, max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_damaged_logs(tmp_path, name, data):
+    content = DAMAGED[name]
+    damaged_content = data.draw(damaged(content[: len(content) // 4]))
+    check_damaged(lambda path: named_telemetry(path, [part(duration_s=60.0)]), tmp_path / name, damaged_content)
