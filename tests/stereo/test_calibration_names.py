@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -11,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from tests.stereo.calibration_files import NAMES, storage
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.rig_formats.reading import load_calibration, load_rig
 
@@ -20,32 +20,6 @@ D1, D2 = np.array([[0.05, -0.15, -0.0015, 0.0037, 0.39]]), np.array([[0.07, -0.1
 R = np.asarray(cv2.Rodrigues(np.array([-0.05, -0.03, 0.01]))[0])
 T = np.array([[-0.09], [0.002], [0.0145]])
 BASELINE_M = float(np.linalg.norm(T))
-NAMES = (  # of K, D, K, D, R, T
-    "K1 D1 K2 D2 R T",
-    "M1 D1 M2 D2 R T",
-    "cameraMatrix1 distCoeffs1 cameraMatrix2 distCoeffs2 R T",
-    "cameraMatrixL distL cameraMatrixR distR rot trans",
-    "mtxL distL mtxR distR R T",
-    "mtx_left dist_left mtx_right dist_right R T",
-    "mtx1 dist1 mtx2 dist2 R T",
-    "left_camera_matrix left_dist_coeffs right_camera_matrix right_dist_coeffs rotation translation",
-    "camera_matrix_left dist_coeffs_left camera_matrix_right dist_coeffs_right rotation_matrix translation_vector",
-    "cameraMatrixLeft distCoeffsLeft cameraMatrixRight distCoeffsRight rmat tvec",
-    "K_left D_left K_right D_right R T",
-    "K_l D_l K_r D_r R T",
-    "Kl Dl Kr Dr R T",
-    "cam0_K cam0_D cam1_K cam1_D R T",
-    "camera_matrix_0 dist_coeffs_0 camera_matrix_1 dist_coeffs_1 R T",
-    "cam_mats_left dist_coefs_left cam_mats_right dist_coefs_right rot_mat trans_vec",
-    "leftIntrinsics leftDistortion rightIntrinsics rightDistortion Rot Trns",
-    "intrinsic_matrix_left distortion_left intrinsic_matrix_right distortion_right stereo_R stereo_T",
-    "KK_left kc_left KK_right kc_right R T",
-    "left.K left.D right.K right.D stereo.R stereo.T",
-    "cameras.left.camera_matrix cameras.left.distortion_coefficients cameras.right.camera_matrix "
-    "cameras.right.distortion_coefficients extrinsics.rotation extrinsics.translation",
-    "camera_matrix.left dist_coeff.left camera_matrix.right dist_coeff.right R T",
-    "LEFT.K LEFT.D RIGHT.K RIGHT.D R T",
-)
 
 
 def values(names: str, translation: np.ndarray = T) -> dict[str, Any]:
@@ -66,14 +40,6 @@ def plain(content: Any) -> Any:
         if isinstance(content, dict)
         else np.asarray(content).tolist()
     )
-
-
-def storage(path: Path, content: dict[str, Any]) -> Path:
-    file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
-    for key, value in content.items():
-        file.write(key, value)
-    file.release()
-    return path
 
 
 def check(loaded: tuple[Any, tuple[str, ...]], translation: np.ndarray = T) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
+from tests.stereo.calibration_files import calibration_yaml as calibration
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rectification import stereo_rectification
 from track_range.stereo.geometry.rig import RigError, StereoRig
@@ -50,24 +51,6 @@ def messages(rig: StereoRig) -> tuple[dict[str, Any], dict[str, Any]]:
         for camera, r, p in ((rig.left, r1, p1), (rig.right, r2, p2))
     )
     return left, right
-
-
-def calibration(message: dict[str, Any]) -> dict[str, Any]:
-    """The same in the layout of ROS's camera_calibration."""
-
-    def matrix(key: str, rows: int) -> dict[str, Any]:
-        return {"rows": rows, "cols": len(message[key]) // rows, "data": message[key]}
-
-    return {
-        "image_width": message["width"],
-        "image_height": message["height"],
-        "camera_name": "narrow_stereo",
-        "camera_matrix": matrix("k", 3),
-        "distortion_model": "plumb_bob",
-        "distortion_coefficients": matrix("d", 1),
-        "rectification_matrix": matrix("r", 3),
-        "projection_matrix": matrix("p", 3),
-    }
 
 
 LEFT, RIGHT = messages(raw_rig())

@@ -57,9 +57,7 @@ def recordings(options: Namespace) -> Figures:
     drive = Plain(folder)
     figures: dict[str, dict[str, Any]] = {"recordings": {}, "calibrations": {}}
     with ExitStack() as servers:
-        streams = [
-            Recording("live stream, side by side", partial(live, servers=servers), 2.0, n_lost=len(drive.pair[0]))
-        ]
+        streams = [Recording("live stream, side by side", partial(live, servers=servers), rate_hz=0.0)]
         for recording in (*RECORDINGS, *streams):
             if options.only in recording.kind:
                 figures["recordings"][recording.kind] = _attempt(partial(drive.compared, recording))
