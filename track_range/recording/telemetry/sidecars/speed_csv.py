@@ -56,6 +56,7 @@ _HORIZONTAL = (("north", "east"), ("x", "y", "z"), ("x", "y"), ("forward", "left
 _EPOCH_UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3), (1e8, 1.0))  # smallest value, seconds per unit
 _STEP_UNITS = ((1e7, 1e-9), (1e4, 1e-6), (10.0, 1e-3))  # smallest median step of times since the start, alike
 _UNIT_TOLERANCE, _MIN_MOVING = 0.05, 10  # difference to speeds from positions, and moving samples, that show a unit
+_MAX_VALUE = 1e4  # of speeds in any unit
 _MAX_SCATTER = 0.2  # largest median relative deviation of single speeds from those of the positions
 
 
@@ -163,7 +164,7 @@ def _speeds(table: CsvTable) -> list[_Speeds]:
     for name, (stem, axis) in components.items():
         groups[stem, unit_in(name)].setdefault(axis, name)
     speeds = [
-        _Speeds(name, _rank(name), unit_in(name), np.abs(table.numbers(name)))
+        _Speeds(name, _rank(name), unit_in(name), np.abs(_numbers(table, name)))
         for name in _columns(table, _SPEED, _NOT_SPEED)
         if name not in components
     ]
@@ -171,7 +172,7 @@ def _speeds(table: CsvTable) -> list[_Speeds]:
         axes = next((axes for axes in _HORIZONTAL if set(axes) <= set(by_axis)), ())
         if axes:
             names = [by_axis[axis] for axis in axes]
-            length = np.linalg.norm([table.numbers(name) for name in names], axis=0)
+            length = np.linalg.norm([_numbers(table, name) for name in names], axis=0)
             speeds.append(_Speeds(" and ".join(names), min(_rank(names[0]), 1), unit, length))
     return sorted(speeds, key=lambda speeds: (speeds.rank, speeds.unit is None))
 
@@ -186,6 +187,12 @@ def _components(table: CsvTable) -> dict[str, tuple[str, str]]:
             stem = name.replace("_", " ").replace(axis[0], "", 1)
             components[heading] = (stem, _AXES.get(axis[1], axis[1]))
     return components
+
+
+def _numbers(table: CsvTable, name: str) -> FloatArray:
+    """(N,) numbers of a column of speeds; NaN for those that are none in any unit."""
+    values = table.numbers(name)
+    return np.where(np.abs(values) < _MAX_VALUE, values, np.nan)
 
 
 def _rank(name: str) -> int:
