@@ -6,6 +6,7 @@ A format is one row of `LABEL_FORMATS`. Files are recognised by their first byte
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,7 @@ from track_range.detection.formats.video_labels.coco import read_coco, write_coc
 from track_range.detection.formats.video_labels.csv_labels import has_label_columns
 from track_range.detection.formats.video_labels.cvat import read_cvat, write_cvat
 from track_range.detection.formats.video_labels.mot import is_number_row
+from track_range.detection.formats.video_labels.tool_labels import LAYOUTS, read_layout, start_of
 from track_range.detection.formats.video_labels.yolo_tracks import is_yolo_folder, read_yolo_folder, write_yolo
 from track_range.foundation.files.input_files import first_line, open_regular, readable
 
@@ -34,8 +36,9 @@ class LabelFormat:
     write: Callable[[BoxTable, Path], Written] | None = None  # writes a table to a path; None = not written
     has_classes: bool = True  # whether a box has a class
     is_general: bool = False  # whether detections and ground truth are read with `read`, without rules of a benchmark
-    is_folder: bool = False  # whether it is written as a folder with one file per frame
+    is_folder: bool = False  # whether it is a folder with one file per frame
     is_of_run: bool = False  # whether it has the rows of a run, and so no ground truth
+    mark: str = ""  # regular expression that the first 64 kB match, of a folder those of its first file
     precision_px: float | None = None  # largest difference of an edge read again; None = depends on the image size
 
 
@@ -48,7 +51,7 @@ def _is_kitti(path: Path, first: str) -> bool:
 
 
 # fmt: off
-_FORMATS = (
+_FORMATS: tuple[LabelFormat, ...] = (
     LabelFormat("mot", "MOTChallenge", _starts(""), text_tables.read_mot_table, text_tables.write_mot_table,
                 has_classes=False, precision_px=0.01),
     LabelFormat("kitti", "KITTI", _is_kitti, text_tables.read_kitti_table,
@@ -65,7 +68,20 @@ _FORMATS = (
                 is_of_run=True),
 )
 # fmt: on
+_FORMATS += tuple(
+    LabelFormat(
+        name,
+        layout.title,
+        lambda path, first: False,
+        read_layout(name),
+        is_general=True,
+        mark=layout.mark,
+        is_folder=layout.is_folder,
+    )
+    for name, layout in LAYOUTS.items()
+)
 LABEL_FORMATS = {label_format.name: label_format for label_format in _FORMATS}  # the last that recognises a file
+_MARKED = [label_format for label_format in _FORMATS if label_format.mark]
 
 
 def label_format_of(path: Path, expected: str = "labels") -> LabelFormat:
@@ -76,6 +92,10 @@ def label_format_of(path: Path, expected: str = "labels") -> LabelFormat:
         first = _PARQUET_MARK if is_parquet else first_line(path, LabelFileError, expected).strip()
         if not first:
             raise LabelFileError(f"{path}: expected {expected}, got an empty file.")
+    start = "" if first == _PARQUET_MARK else start_of(path)
+    marked = (form for form in _MARKED if form.is_folder or not os.path.isdir(path))
+    if found := next((form for form in marked if re.match(form.mark, start, re.DOTALL)), None):
+        return found
     return next(form for form in reversed(LABEL_FORMATS.values()) if form.is_format(path, first))
 
 
@@ -85,6 +105,21 @@ def read_labels(path: Path, video: VideoFacts = NO_FACTS, *, expected: str = "la
     `video` has facts that the file may lack, such as the image size for YOLO; `expected` is the content for messages.
     """
     return label_format_of(path, expected).read(path, video)
+
+
+def is_label_folder(path: Path) -> bool:
+    """Whether a folder has one file of labels for each image, so that it is one sequence; not KITTI's object files."""
+    return os.path.isdir(path) and label_format_of(path).name != "kitti"
+
+
+def read_titles() -> str:
+    """Titles of the formats that are read, in words."""
+    return ", ".join(label_format.title for label_format in _FORMATS)
+
+
+def general_titles() -> str:
+    """Titles of the formats of labels that are read as ground truth of a run, too, in words."""
+    return ", ".join(label_format.title for label_format in _FORMATS if label_format.is_general)
 
 
 def is_blank(path: Path, expected: str) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -31,12 +31,42 @@ def check_identities(table: BoxTable, path: Path) -> None:
         )
 
 
+def image_stem(name: str) -> str:
+    """The name of an image without folder and suffix, and without what Roboflow appends: _jpg.rf. and a hash."""
+    stem = re.split(r"[/\\\\]", name)[-1]
+    stem = re.sub(r"(_(jpe?g|png|bmp|webp))?\.rf\.\w+", "", stem)
+    return re.sub(r"(\.(jpe?g|png|bmp|webp|tiff?|pgm|ppm|json|xml|txt))+$", "", stem, flags=re.IGNORECASE)
+
+
 def frame_in_name(name: str) -> int | None:
     """The last number in a name without suffix, which is the frame number; None if there is none up to `MAX_FRAME`."""
     match = _LAST_NUMBER.search(name)
     if match is None or len(match[1]) > _MAX_DIGITS or int(match[1]) > MAX_FRAME:
         return None
     return int(match[1])
+
+
+def frames_of_names(names: Sequence[str], path: Path) -> tuple[list[int], str]:
+    """Frame number of each name of an image, and what states it: the number that differs, or the order of times.
+
+    LabelFileError unless the names differ only in one number, as those of the frames of one video.
+    """
+    stems = [image_stem(name) for name in names]
+    for name, stem in zip(names, stems, strict=True):
+        if not (digits := re.findall(r"\d+", stem)) or max(map(len, digits)) > _MAX_DIGITS + 1:
+            raise LabelFileError(f"{path}: expected a frame number in the name of each image, found {quoted(name)}.")
+    varying = [
+        texts for texts in zip(*(re.findall(r"\d+", stem) for stem in stems), strict=False) if len(set(texts)) > 1
+    ]
+    texts = [re.findall(r"\d+", stem)[-1] for stem in stems]
+    if len(varying) == 1 and len({re.sub(r"\d+", "#", stem) for stem in stems}) == 1:
+        texts = list(varying[0])
+    else:
+        check_names(stems, path)
+    numbers = [int(text) for text in texts]
+    if max(numbers, default=0) <= MAX_FRAME:
+        return numbers, "numbers"
+    return np.unique(np.array(numbers, np.uint64), return_inverse=True)[1].reshape(-1).tolist(), "order of the times"
 
 
 def check_names(names: Iterable[str], path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 import shutil
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ import cv2
 import numpy as np
 import yaml
 
+from tests.detection.formats import test_tool_labels as tool_files
 from tests.torture.mutations import BYTES, JSON, NPY, ONNX, PNG, TABLE, TEXT, YAML, Mutation
 from tests.torture.processes import succeed
 from track_range.ranging import size_models
@@ -79,6 +81,15 @@ KINDS = tuple(
         ("tracks.csv as detections", "run/tracks.csv", TABLE, f"{VIDEO} --detections run/tracks.csv {CHEAP}"),
         ("rrc", "rrc.txt", TABLE, "track rrc.txt --out out"),
         ("det.txt", "mot/MOT-01/det/det.txt", TABLE, TRACK),
+        *(
+            (
+                name,
+                f"tools/{name.replace(' ', '_')}",
+                JSON if isinstance(content, list | dict) else TEXT,
+                f"track tools/{name.replace(' ', '_')} --out out",
+            )
+            for name, content in tool_files.FILES.items()
+        ),
         ("feat.npy", "mot/MOT-01/det/feat.npy", NPY, TRACK),
         ("MOT folder", "mot/MOT-01/seqinfo.ini mot/MOT-01/gt/gt.txt", TABLE, MOT),
         ("run folder", "run/tracks.csv run/summary.json run/settings.yaml", (*TABLE, *JSON[-3:]), "report run"),
@@ -137,6 +148,10 @@ def write_seeds(folder: Path) -> None:
     for suffix in ("avi", "mkv"):
         write_video(folder / f"videos/left.{suffix}", images, codec="mpeg4")
     _write_tables(folder, times)
+    (folder / "tools").mkdir()
+    for name, content in tool_files.FILES.items():
+        text = content if isinstance(content, str) else json.dumps(content)
+        (folder / "tools" / name.replace(" ", "_")).write_text(text, encoding="utf-8")
 
 
 def write_video(path: Path, images: Iterable[np.ndarray], *, codec: str = "libx264") -> None:

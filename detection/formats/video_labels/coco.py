@@ -92,6 +92,8 @@ class CocoFile:
         self.path = path
         self._document = read_json(path, LabelFileError, "a COCO data set", max_bytes=MAX_COCO_BYTES)
         self._names: dict[int | str, str] = {}  # by category id
+        self._identities: dict[str, int] = {}  # by the names of objects
+        self._has_numbers = False  # whether objects have numbers instead
         for where, category in self._section("categories"):
             number, name = self._id(category, "id", where), self._text(category, "name", where)
             if (other := self._names.setdefault(number, name)) != name:
@@ -130,27 +132,25 @@ class CocoFile:
                 f"{self.path}: expected the images of one video, found {len(ids)} videos; split the file."
             )
         key = next((key for key in _FRAME_KEYS if any(key in image for image in images.values())), None)
-        frame_of: dict[int | str, int] = {}
-        for index, (image_id, image) in enumerate(images.items()):
-            if key is not None:
-                frame_of[image_id] = self._integer(image, key, f"images[{index}]", 0, MAX_FRAME)
-                continue
-            name = self.file_name(image, index)
-            frame = table_checks.frame_in_name(Path(name).stem)
-            if frame is None:
-                raise self._fault(f"images[{index}]", "a frame_index, or a file_name with a frame number", name)
-            frame_of[image_id] = frame
-        numbers = sorted(frame_of.values())
+        if key is None:
+            names = [self.file_name(image, index) for index, image in enumerate(images.values())]
+            frames, source = table_checks.frames_of_names(names, self.path)
+        else:
+            frames = [
+                self._integer(image, key, f"images[{index}]", 0, MAX_FRAME)
+                for index, image in enumerate(images.values())
+            ]
+        frame_of = dict(zip(images, frames, strict=True))
+        numbers = sorted(frames)
         notes = list(table_checks.first_frame_note(self.path, numbers[0] if numbers else 0, len(numbers)))
         if numbers and key is None:
-            table_checks.check_names(
-                (str(Path(image["file_name"]).with_suffix("")) for image in images.values()), self.path
-            )
             span = f"{numbers[0]} to {numbers[-1]}"
-            notes.insert(0, f"{self.path.name}: frame numbers are the numbers in the names of the images, {span}.")
+            notes.insert(0, f"{self.path.name}: frame numbers are the {source} in the names of the images, {span}.")
         for frame, after in pairwise(numbers):
             if frame == after:
-                raise LabelFileError(f"{self.path}: expected one image for each frame, found two for frame {frame}.")
+                raise LabelFileError(
+                    f"{self.path}: expected one image of one camera for each frame, found two for frame {frame}."
+                )
         return frame_of, tuple(notes)
 
     def video_facts(self, frame_of: Mapping[int | str, int]) -> VideoFacts:
@@ -194,7 +194,7 @@ class CocoFile:
             boxes.append(
                 CocoBox(
                     frame_of[image],
-                    self._integer(*given[0], where, -1, MAX_ID) if given else -1,
+                    self._identity(*given[0], where) if given else -1,
                     self._names[category],
                     (x, y, x + width, y + height),
                     item.get("iscrowd") in (1, True),
@@ -217,6 +217,17 @@ class CocoFile:
         if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
             raise self._fault(where, f"an integer from {low} to {high} as {key}", value)
         return value
+
+    def _identity(self, item: _Object, key: str, where: str) -> int:
+        """The number of an object, or of the first occurrence of its name, as in Waymo's ids, if all have names."""
+        name = item[key]
+        is_named = isinstance(name, str) and 0 < len(name) <= _MAX_TEXT
+        if is_named and not self._has_numbers:
+            return self._identities.setdefault(name, len(self._identities))
+        self._has_numbers = True
+        if self._identities:
+            raise self._fault(where, f"a text as {key}, as before", name)
+        return self._integer(item, key, where, -1, MAX_ID)
 
     def _id(self, item: _Object, key: str, where: str) -> int | str:
         value = item.get(key)

@@ -17,11 +17,12 @@ from pathlib import Path
 from typing import Literal
 
 from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.label_formats import is_label_folder
 from track_range.detection.formats.limits import MAX_FRAME
-from track_range.detection.formats.video_labels.yolo_tracks import is_yolo_folder
 from track_range.foundation.files.input_files import quoted, read_text, readable, real_path
 from track_range.foundation.files.numeric_text import number
 
+_SUFFIXES = (".json", ".xml", ".csv")  # of files of sequences in a folder without text files
 Kind = Literal["det", "gt"]  # detections or ground truth, as in MOTChallenge's file names
 MOT_FOLDER, KITTI_FOLDER = "mot", "kitti"  # folders for the results of `track`, one NAME.txt per sequence
 
@@ -55,13 +56,13 @@ def find_sequences(path: Path, kind: Kind) -> list[SequenceFile]:
     if not os.path.isdir(path):
         raise LabelFileError(f"{path}: no such file or folder; check the name.")
     rows = _rows_of_run(path)
-    if rows is not None or is_yolo_folder(path):
+    if rows is not None or is_label_folder(path):
         return [SequenceFile(real_path(path).name, rows or path, SequenceInfo())]
     inner = Path(kind) / f"{kind}.txt"
     with readable(path, LabelFileError):
         folders = [path, *sorted(path.iterdir())]
     mot_files = [folder / inner for folder in folders if (folder / inner).is_file()]
-    sequences = [_sequence(file) for file in mot_files or _text_files(path)]
+    sequences = [_sequence(file) for file in mot_files or _text_files(path) or _text_files(path, _SUFFIXES)]
     names = [sequence.name for sequence in sequences]
     if duplicate := next((name for name in names if names.count(name) > 1), None):
         raise LabelFileError(f"{path}: two sequences have the name {duplicate}; rename one.")
@@ -116,8 +117,9 @@ def _rows_of_run(folder: Path) -> Path | None:
     return next((file for file in files if os.path.isfile(file)), None) if is_run else None
 
 
-def _text_files(folder: Path) -> list[Path]:
-    return sorted(file for file in folder.glob("*.txt") if file.is_file() and not file.name.startswith("."))
+def _text_files(folder: Path, suffixes: Sequence[str] = (".txt",)) -> list[Path]:
+    files = (file for suffix in suffixes for file in folder.glob(f"*{suffix}"))
+    return sorted(file for file in files if file.is_file() and not file.name.startswith("."))
 
 
 def _sequence(path: Path) -> SequenceFile:

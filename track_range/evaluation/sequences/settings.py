@@ -53,8 +53,8 @@ class TrackSettings(Options):
     detections: Annotated[
         Path,
         option(
-            "Detections in the format of MOTChallenge's det.txt, of KITTI, or frame,x1,y1,x2,y2,score: a file, a "
-            "folder of files NAME.txt, or a folder of sequences NAME/det/det.txt.",
+            "Detections in MOTChallenge's det.txt, rows frame,x1,y1,x2,y2,score, or another format of --detections: a "
+            "file, a folder of files NAME.txt, or a folder of sequences NAME/det/det.txt.",
             metavar="DETECTIONS",
             is_argument=True,
         ),
@@ -101,8 +101,8 @@ class TrackEvaluationSettings(Options):
     truth: Annotated[
         Path,
         option(
-            "Ground truth: a file of MOTChallenge, KITTI, COCO, CVAT for video or a CSV of labels, a folder of YOLO "
-            "labels, or a folder of sequences NAME.txt or NAME/gt/gt.txt."
+            f"Ground truth: a file or folder of {', '.join(form.title for form in TRUTH_FORMATS.values())}; or a "
+            "folder of sequences NAME.txt or NAME/gt/gt.txt."
         ),
     ]
     results: Annotated[

@@ -8,6 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import model_validator
 
+from track_range.detection.formats.label_formats import read_titles
 from track_range.foundation.errors import UsageError
 from track_range.foundation.options import Options, option
 
@@ -118,8 +119,7 @@ class DetectionOptions(Options):
     detections: Annotated[
         Path | None,
         option(
-            "Recorded boxes instead of a detector: MOTChallenge's det.txt, KITTI labels or detections, a tracks.csv or "
-            "tracks.parquet, COCO, CVAT for video, or a folder of YOLO labels.",
+            f"Recorded boxes instead of a detector, in a file or folder of {read_titles()}.",
             is_per_clip=True,
             instead="recorded detections belong to a clip; give them in the column detections of a manifest",
         ),
