@@ -94,8 +94,8 @@ def label_format_of(path: Path, expected: str = "labels") -> LabelFormat:
             raise LabelFileError(f"{path}: expected {expected}, got an empty file.")
     start = "" if first == _PARQUET_MARK else start_of(path)
     marked = (form for form in _MARKED if form.is_folder or not os.path.isdir(path))
-    if found := next((form for form in marked if re.match(form.mark, start, re.DOTALL)), None):
-        return found
+    if of_mark := next((form for form in marked if re.match(form.mark, start, re.DOTALL)), None):
+        return of_mark
     return next(form for form in reversed(LABEL_FORMATS.values()) if form.is_format(path, first))
 
 

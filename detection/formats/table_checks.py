@@ -52,18 +52,16 @@ def frames_of_names(names: Sequence[str], path: Path) -> tuple[list[int], str]:
     LabelFileError unless the names differ only in one number, as those of the frames of one video.
     """
     stems = [image_stem(name) for name in names]
-    for name, stem in zip(names, stems, strict=True):
-        if not (digits := re.findall(r"\d+", stem)) or max(map(len, digits)) > _MAX_DIGITS + 1:
+    fields = [re.findall(r"\d+", stem) for stem in stems]
+    for name, texts in zip(names, fields, strict=True):
+        if not texts or max(map(len, texts)) > _MAX_DIGITS + 1:
             raise LabelFileError(f"{path}: expected a frame number in the name of each image, found {quoted(name)}.")
-    varying = [
-        texts for texts in zip(*(re.findall(r"\d+", stem) for stem in stems), strict=False) if len(set(texts)) > 1
-    ]
-    texts = [re.findall(r"\d+", stem)[-1] for stem in stems]
+    varying = [column for column in zip(*fields, strict=False) if len(set(column)) > 1]
     if len(varying) == 1 and len({re.sub(r"\d+", "#", stem) for stem in stems}) == 1:
-        texts = list(varying[0])
+        numbers = [int(text) for text in varying[0]]
     else:
         check_names(stems, path)
-    numbers = [int(text) for text in texts]
+        numbers = [int(texts[-1]) for texts in fields]
     if max(numbers, default=0) <= MAX_FRAME:
         return numbers, "numbers"
     return np.unique(np.array(numbers, np.uint64), return_inverse=True)[1].reshape(-1).tolist(), "order of the times"

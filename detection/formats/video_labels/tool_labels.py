@@ -17,7 +17,6 @@ whose edges are the first and last pixel. Frames are given by number, or by the 
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -35,7 +34,7 @@ from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_FRAME, M
 from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.input_files import open_regular, quoted, readable
 from track_range.foundation.files.numeric_text import number, plain_number
-from track_range.foundation.files.structured_text import read_json
+from track_range.foundation.files.structured_text import parse_json, read_json
 from track_range.foundation.files.xml_events import parse_xml
 
 _MAX_BYTES = 250_000_000  # of a file
@@ -202,7 +201,8 @@ def _filename_rows(content: Any) -> Iterator[_Box]:
 
 def _via_rows(content: Any) -> Iterator[_Box]:
     for row in content:
-        shape, attributes = (json.loads(row[f"region_{kind}attributes"] or "{}") for kind in ("shape_", ""))
+        cells = {kind: row[f"region_{kind}attributes"] or "{}" for kind in ("shape_", "")}
+        shape, attributes = (parse_json(cells[kind], kind, LabelFileError, "attributes") for kind in cells)
         yield from _via_region(row.get("filename") or row["#filename"], shape, attributes)
 
 
@@ -292,8 +292,8 @@ def label_files(folder: Path) -> list[Path]:
     for name in _FOLDERS:
         with readable(folder, LabelFileError):
             inside = folder / name
-            found = sorted(inside.iterdir()) if inside.is_dir() else []
-        files = [file for file in found if file.suffix in (".json", ".xml") and file.name != "meta.json"]
+            entries = sorted(inside.iterdir()) if inside.is_dir() else []
+        files = [file for file in entries if file.suffix in (".json", ".xml") and file.name != "meta.json"]
         if files:
             return files
     return []
