@@ -67,7 +67,8 @@ def speed_from_positions(
     compared over longer steps, and the rest of their error is in the standard deviation. None = fewer than two
     positions.
     """
-    known = np.flatnonzero(has_position(latitude_deg, longitude_deg) & np.isfinite(time_s))
+    is_known = has_position(latitude_deg, longitude_deg) & np.isfinite(time_s)
+    known = np.flatnonzero(is_known & (np.abs(latitude_deg) <= 90) & (np.abs(longitude_deg) <= 360))
     known = known[np.argsort(time_s[known], kind="stable")]
     known = known[_is_new(time_s[known], latitude_deg[known], longitude_deg[known])]
     if len(known) < 2:
