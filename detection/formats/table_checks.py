@@ -64,6 +64,8 @@ def frames_of_names(names: Sequence[str], path: Path) -> tuple[list[int], str]:
         numbers = [int(texts[-1]) for texts in fields]
     if max(numbers, default=0) <= MAX_FRAME:
         return numbers, "numbers"
+    if min(numbers) <= MAX_FRAME:
+        raise LabelFileError(f"{path}: expected frame numbers up to {MAX_FRAME} in names, found {max(numbers)}.")
     return np.unique(np.array(numbers, np.uint64), return_inverse=True)[1].reshape(-1).tolist(), "order of the times"
 
 

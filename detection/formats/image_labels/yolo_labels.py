@@ -67,7 +67,8 @@ class YoloLabelReader:
 
 def names_for_folder(folder: Path) -> tuple[str, ...]:
     """Class names in classes.txt, data.yaml or obj.names of a folder of labels or its parent; () if there are none."""
-    for file in (parent / name for parent in (folder, folder.parent) for name in _NAME_FILES):
+    files = [parent / name for parent in (folder, folder.parent) for name in _NAME_FILES]
+    for file in (*files, folder.parent.parent / "data.yaml"):  # the last as in exports of Roboflow
         if not file.is_file():
             continue
         if file.suffix in (".txt", ".names"):

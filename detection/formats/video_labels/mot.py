@@ -135,7 +135,7 @@ def _cells(line: str) -> list[str]:
 
 def is_number_row(line: str) -> bool:
     """Whether a line is a row of numbers in one of the layouts, or a comment, not of KITTI, whose rows have a type."""
-    cells = _cells(line)
+    cells = _cells(line.partition("#")[0])
     is_number = not any(map(math.isnan, numbers(cells)))
     return line.startswith("#") or (is_number and ("," in line or ";" in line or 6 <= len(cells) <= 10))
 

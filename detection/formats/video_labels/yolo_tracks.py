@@ -180,7 +180,7 @@ def _frames(path: Path, files: Sequence[Path], video: VideoFacts) -> tuple[dict[
     """Frame number from 0 by file, and notes on the numbers in the names."""
     file_of: dict[int, Path] = {}
     for file in files:
-        frame = table_checks.frame_in_name(file.stem)
+        frame = table_checks.frame_in_name(table_checks.image_stem(file.name))
         if frame is None:
             raise LabelFileError(f"{file}: expected a frame number at the end of the name, such as NAME_000000.txt.")
         if (other := file_of.setdefault(frame, file)) != file:
@@ -188,7 +188,7 @@ def _frames(path: Path, files: Sequence[Path], video: VideoFacts) -> tuple[dict[
                 f"{path}: expected one file for each frame of one video, found {quoted(str(other.relative_to(path)))} "
                 f"and {quoted(str(file.relative_to(path)))} for frame {frame}."
             )
-    names = [file.stem for file in files]
+    names = [table_checks.image_stem(file.name) for file in files]
     table_checks.check_names(names, path)
     numbers = np.array(list(file_of), np.int64)
     first = 0

@@ -173,3 +173,9 @@ def test_two_classes_on_one_object(tmp_path):
     file.write_text("".join(lines[:1] + lines[2:]))
     assert len(recorded.at(1)) == 0
     assert read_detections(file).at(0).score.tolist() == [0.5, 0.4, 0.3, 0.2]
+
+
+def test_a_car_and_a_truck_on_each_vehicle(shared_data):
+    recorded = read_detections(shared_data / "cases/trk_car_and_truck/dup_run.txt")
+    assert len(recorded.frame) == 60
+    assert [recorded.at(frame).class_id.tolist() for frame in range(15)] == [[2, 2]] * 15

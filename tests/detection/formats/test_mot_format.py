@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from track_range.detection.formats.label_formats import label_format_of
 from track_range.detection.formats.video_labels.mot import MotFormatError, MotRows, mot_lines, read_mot
 
 
@@ -142,6 +143,7 @@ def test_layouts_that_look_alike(tmp_path: Path, name: str) -> None:
     layout, identity, class_name = LAYOUTS[name]
     path = tmp_path / "boxes.txt"
     path.write_text(rows_in(layout))
+    assert label_format_of(path).name == "mot"
     rows = read_mot(path)
     assert rows.frame.tolist() == list(range(12))
     assert set(rows.track_id.tolist()) == {identity}

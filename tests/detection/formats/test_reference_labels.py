@@ -294,3 +294,16 @@ def test_frame_numbers_in_names(
     assert table.frame.tolist() == frames
     as_in_names = [int(number) for number in numbers]
     assert read_labels(tmp_path, VideoFacts(size_px=(100, 50), first_frame=1)).frame.tolist() == as_in_names
+
+
+def test_yolo_of_roboflow(tmp_path: Path) -> None:
+    """Names with a hash after .rf., and the names of the classes two folders up."""
+    (tmp_path / "data.yaml").write_text("names: ['Person', 'Car']\n")
+    folder = tmp_path / "train"
+    (folder / "labels").mkdir(parents=True)
+    for name in ("a_0000_jpg.rf.3f2a9c81d4e9", "a_0012_jpg.rf.0b1c2d3e4f57"):
+        (folder / f"labels/{name}.txt").write_text("1 0.2 0.6 0.2 0.4\n")
+    table = read_labels(folder, SIZE)
+    assert table.frame.tolist() == [0, 12]
+    assert table.class_id.tolist() == [2, 2]
+    np.testing.assert_allclose(table.xyxy_px, [CAR, CAR], atol=1e-9)
