@@ -44,7 +44,7 @@ def truth_rows(renderer: Renderer, time_s: float, visible: VisibleObjects) -> st
         lane = None if user.raised_m > 0 else SURROUNDINGS[scene.surroundings].lane_of(user.on_road_m(time_s)[0])
         cells = [
             f"{labels.frame[number]},{time_s:.6f},{labels.track_id[number]}",
-            road_class_of(labels.kitti_type[number]),
+            road_class_of(labels.kitti_type[number]) or "",
             *(f"{edge:.3f}" for edge in box.tolist()),
             f"{visible.visible_share[number]:.3f}",
             f"{centre_depth_m(body, camera, box):.4f}",
