@@ -115,8 +115,9 @@ class TrackEvaluationSettings(Options):
     truth_format: Annotated[
         str | None,
         option(
-            "Format of the ground truth (default: detected from its content).",
+            f"Format of the ground truth: {', '.join(TRUTH_FORMATS)} (default: detected from its content).",
             flag="--format",
+            metavar="NAME",
             choices=TRUTH_FORMATS.keys,
         ),
     ] = None
