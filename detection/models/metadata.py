@@ -11,6 +11,8 @@ family's default is used. All sources use the same keys:
     size       longer side in pixels of an input of variable size
     area       number of pixels of an input of variable size, instead of `size`
     end2end    whether Ultralytics' exporter included the suppression
+    layout     name of the layout of the outputs (docs/detectors.md)
+    kpt_shape  keypoints of a box in a pose network: their number, and values of each
     head       class of the head in Ultralytics' metadata, such as RTDETRDecoder
     box_errors systematic errors of the box sizes, by class (`detection.box_errors`)
 
@@ -45,6 +47,7 @@ class ModelOptions:
     names: tuple[str, ...] | None = None  # class names in the network's order
     anchors: str | None = None  # pairs in input px by head, such as `81,82 135,169 344,319 / 23,27 37,58 81,82`
     letterbox: str | None = None  # placement and grey level of the padding, such as `top-left-114`
+    layout: str | None = None  # name of the layout of the outputs, such as `yolov8`
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,5 +246,7 @@ _PARSERS: Mapping[str, Callable[[Any], Any]] = {
     "area": _between(32**2, 4096**2, f"{32**2} to {4096**2} pixels"),
     "end2end": lambda value: str(value).lower() == "true",
     "head": _family,
+    "layout": lambda value: _family(value).lower(),
+    "kpt_shape": lambda value: tuple(int(length) for length in value),
     "box_errors": box_errors_of,
 }

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 import onnxruntime as ort
 
+from track_range.detection.models.file_kinds import other_kind
 from track_range.foundation.arrays import FloatArray32
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.input_files import check_regular, quoted, real_path, shortened
@@ -31,7 +32,7 @@ _MAX_MODEL_BYTES = 2**31  # protobuf's limit
 _MAX_SIDE = 8192  # of the input in any dimension
 _MAX_VALUES = 2**28  # of the input: 1 GB of float32
 
-_INPUT_TYPES = ("tensor(float)", "tensor(float16)")
+_INPUT_TYPES = ("tensor(float)", "tensor(float16)", "tensor(uint8)")
 TARGET_SIZES = "orig_target_sizes"  # input [batch, 2] of RT-DETR, D-FINE, DEIM: size to which boxes are scaled
 _SIZE_TYPES = {"tensor(int64)": np.int64, "tensor(int32)": np.int32, "tensor(float)": np.float32}
 _LOCATION_KEY = b"location"  # of the path of external data in ONNX files
@@ -60,6 +61,9 @@ def available_providers() -> list[str]:
 class OnnxSession:
     """A network with one image input, ready to run; ModelError if the file is no such network.
 
+    Its images are (batch, 3, height, width) for all networks: they are transposed for an input whose channels are last,
+    reduced to the first channel for one of a single channel, and rounded for one of uint8.
+
     DETR-like networks may have the input `orig_target_sizes` as well; it is the size of the image input, so that boxes
     are in pixels of that input. `input_shape` has None for dimensions of variable size; `device` is the one in use.
     """
@@ -84,18 +88,32 @@ class OnnxSession:
                 f"are missing); using {self.device}.",
             )
         self._input, self._size_input = _checked_inputs(path, self._session.get_inputs())
-        self.input_shape = tuple(d if isinstance(d, int) else None for d in self._input.shape)
+        shape = tuple(d if isinstance(d, int) else None for d in self._input.shape)
+        self.has_channels_last = shape[1] not in (1, 3) and shape[3] in (1, 3)
+        self.input_shape = (shape[0], shape[3], *shape[1:3]) if self.has_channels_last else shape
+        self.n_channels = 1 if self.input_shape[1] == 1 else 3
+        self.has_integer_input = self._input.type == "tensor(uint8)"
         self.input_dtype = np.float16 if self._input.type == "tensor(float16)" else np.float32
         self.has_target_sizes = self._size_input is not None
         self.metadata: Mapping[str, str] = dict(self._session.get_modelmeta().custom_metadata_map)
 
     def inputs(self, blob: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
         """All inputs by name, for an input blob (batch, 3, height, width) of the network's type."""
-        inputs: dict[str, npt.NDArray[Any]] = {self._input.name: blob}
+        inputs: dict[str, npt.NDArray[Any]] = {self._input.name: self.as_input(blob)}
         if self._size_input is not None:
             n, _, height, width = blob.shape
             inputs[self._size_input.name] = np.array([[width, height]] * n, _SIZE_TYPES[self._size_input.type])
         return inputs
+
+    def as_input(self, blob: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """The network's input for a blob (batch, 3, height, width): `blob` itself if it has its form."""
+        if self.n_channels == 1:
+            blob = blob[:, :1]
+        if self.has_channels_last:
+            blob = blob.transpose(0, 2, 3, 1)
+        if self.has_integer_input:
+            blob = np.clip(np.rint(blob), 0, 255).astype(np.uint8)
+        return np.ascontiguousarray(blob)
 
     def run(self, blob: FloatArray32) -> list[FloatArray32]:
         """The outputs as float32, in the file's order, for one input blob (batch, 3, height, width)."""
@@ -118,6 +136,8 @@ def check_model_file(path: Path) -> None:
     check_regular(path, ModelError, "an ONNX model", max_bytes=_MAX_MODEL_BYTES)
     if path.stat().st_size == 0:
         raise ModelError(f"{path}: expected an ONNX model, got an empty file.")
+    if kind := other_kind(path):
+        raise ModelError(f"{path}: expected an ONNX network, found {kind}.")
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
         if content.find(_LOCATION_KEY) < 0:
             return
@@ -166,7 +186,8 @@ def _library_errors(path: Path, problem: str) -> Iterator[None]:
         yield
     except Exception as error:
         lines = str(error).replace(str(path), path.name).splitlines() or [type(error).__name__]
-        raise ModelError(f"{path}: {problem} ({shortened(lines[0], _MAX_REASON)}).") from error
+        advice = "; it has operators of TensorRT: export it without the suppression" if "_TRT" in lines[0] else ""
+        raise ModelError(f"{path}: {problem} ({shortened(lines[0], _MAX_REASON)}){advice}.") from error
 
 
 class BoundNetwork:
@@ -196,17 +217,29 @@ class BoundNetwork:
         for key, array in inputs.items():
             self._binding.bind_cpu_input(key, array)
         self._bound_inputs = inputs  # the binding refers to their memory
-        for key, buffer in zip(names, self._buffers, strict=True):
+        self._is_bound = all(
+            buffer.size for buffer in self._buffers
+        )  # other sizes of outputs are not known before a run
+        for key, buffer in zip(names, self._buffers, strict=True) if self._is_bound else ():
             self._binding.bind_output(key, "cpu", 0, buffer.dtype, buffer.shape, buffer.ctypes.data)
 
     def run(self, blob: npt.NDArray[Any] | None = None) -> list[FloatArray32]:
         """The outputs as float32, in the file's order, for `blob` or the attribute; the next run overwrites them."""
-        source = self.blob if blob is None else blob
+        source = self._owner.as_input(self.blob if blob is None else blob)
         if self._owner.device != "cpu" or self._bound_inputs[self._image_name] is not source:
             self._binding.bind_cpu_input(self._image_name, source)
             self._bound_inputs[self._image_name] = source
         with _library_errors(self._owner.path, _FAILED):
-            self._owner._session.run_with_iobinding(self._binding)
+            if self._is_bound:
+                try:
+                    self._owner._session.run_with_iobinding(self._binding)
+                except RuntimeError as error:  # a suppression returns another number of boxes for each image
+                    if "shape" not in str(error):
+                        raise
+                    self._is_bound = False
+            if not self._is_bound:
+                outputs = self._owner._session.run(None, self._bound_inputs)
+                return [np.asarray(output, np.float32) for output in outputs]
         return [buffer.astype(np.float32, copy=False) for buffer in self._buffers]
 
 

@@ -12,7 +12,7 @@ from track_range.detection.detections import Detections
 from track_range.detection.evaluation import DetectionScores, evaluate_detections
 from track_range.detection.formats.image_labels.image_truth import ImageTruth
 from track_range.detection.training.networks.network import DetectionNetwork
-from track_range.detection.yolo.decoders import decode_rows
+from track_range.detection.yolo.decoders import Part, Rows, centres, decode_rows
 from track_range.detection.yolo.detector import suppressed
 from track_range.detection.yolo.input_format import InputFormat
 from track_range.detection.yolo.letterbox import Letterbox, rectangular_input_hw
@@ -38,6 +38,9 @@ class NetworkDetector:
         self._network, self._road_class_id, self._size_px = network, road_class_id, size_px
         self._device, self._precision = device, precision
         self._min_score = np.full(len(road_class_id), LOWEST_SCORE)
+        columns = slice(0, 4), slice(5, None), slice(4, 5)
+        boxes, scores, objectness = (Part(0, column) for column in columns)
+        self._rows = Rows(boxes=boxes, scores=scores, objectness=objectness, code=centres())
 
     def detect(self, image: Image) -> Detections:
         """The road users in `image`, (H, W, 3) uint8 BGR, in order of decreasing score."""
@@ -49,7 +52,7 @@ class NetworkDetector:
         with torch.no_grad(), torch.autocast(self._device.type, self._precision, self._precision != torch.float32):
             raw = self._network(torch.from_numpy(blob).to(self._device, memory_format=torch.channels_last))
         rows = self._network.decode([head.float() for head in raw]).cpu().numpy()
-        candidates = decode_rows(0, [rows], self._min_score)
+        candidates = decode_rows([self._rows], [rows], self._min_score)
         class_id = self._road_class_id[candidates.class_index]
         return suppressed(candidates, class_id, letterbox, max_iou=_MAX_IOU, max_boxes=_MAX_BOXES)
 

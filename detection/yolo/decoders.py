@@ -1,6 +1,6 @@
-"""Decoders of YOLO networks' outputs into candidate boxes, one function for each known output layout.
+"""Decoding of networks' outputs into candidate boxes: where the numbers of a box are, and what they mean.
 
-Boxes are in the network's corner coordinates (pixel i of the input covers [i, i + 1)); scores are probabilities. Each
+Boxes are in the network's corner coordinates (pixel i of the input covers [i, i + 1)); scores are probabilities. A
 decoder first drops the boxes whose score cannot reach the smallest threshold, with one comparison per box, and decodes
 the remaining few per cent. NaN deliberately passes this comparison, so that boxes with NaN or overflowing numbers are
 counted when they are dropped. Callers silence numpy's overflow warnings.
@@ -9,9 +9,11 @@ counted when they are dropped. Callers silence numpy's overflow warnings.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
+from scipy.special import softmax
 
 from track_range.detection.boxes import xyxy_from_cxcywh
 from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, IntArray
@@ -27,14 +29,17 @@ class Candidates:
     score: FloatArray  # (N,) confidence in [0, 1]
     class_index: IntArray  # (N,) index into the network's class names
     n_invalid: int  # number of boxes dropped because of NaN, infinite numbers or labels without a class name
+    cell_px: FloatArray  # (N, 2) centre of the grid cell that each box belongs to; NaN without a grid
 
     @classmethod
-    def of(cls, xyxy_net: FloatArray, class_score: FloatArray32, min_score: FloatArray) -> Candidates:
+    def of(
+        cls, xyxy_net: FloatArray, class_score: FloatArray32, min_score: FloatArray, cell_px: FloatArray | None = None
+    ) -> Candidates:
         """The boxes (N, 4) whose best class in `class_score` (N, C) reaches the `min_score` (C,) of that class."""
         class_index = class_score.argmax(axis=1) if len(class_score) else np.zeros(0, np.int64)
         score = class_score[np.arange(len(class_score)), class_index].astype(np.float64)
         is_finite = np.isfinite(score) & np.isfinite(xyxy_net).all(axis=1)
-        return cls._of_valid(xyxy_net, score, class_index, is_finite, min_score)
+        return cls._of_valid(xyxy_net, score, class_index, is_finite, min_score, cell_px)
 
     @classmethod
     def of_labels(cls, xyxy_net: FloatArray, score: FloatArray, label: FloatArray, min_score: FloatArray) -> Candidates:
@@ -45,117 +50,213 @@ class Candidates:
         """
         is_label = (label >= 0) & (label < len(min_score)) & (label == np.floor(label))
         is_valid = is_label & (score <= 1 + _ROUNDING) & np.isfinite(xyxy_net).all(axis=1)
-        return cls._of_valid(xyxy_net, score, np.where(is_label, label, 0).astype(np.int64), is_valid, min_score)
+        return cls._of_valid(xyxy_net, score, np.where(is_label, label, 0).astype(np.int64), is_valid, min_score, None)
 
     @classmethod
     def _of_valid(
-        cls, xyxy_net: FloatArray, score: FloatArray, class_index: IntArray, is_valid: BoolArray, min_score: FloatArray
+        cls,
+        xyxy_net: FloatArray,
+        score: FloatArray,
+        class_index: IntArray,
+        is_valid: BoolArray,
+        min_score: FloatArray,
+        cell_px: FloatArray | None,
     ) -> Candidates:
         is_candidate = is_valid & (score >= min_score[class_index])
+        cells = np.full((len(score), 2), np.nan) if cell_px is None else cell_px
         return cls(
             xyxy_net[is_candidate],
             np.minimum(score[is_candidate], 1.0),
             class_index[is_candidate],
             int(np.count_nonzero(~is_valid)),
+            cells[is_candidate],
         )
 
 
 Decoder = Callable[[Sequence[FloatArray32], FloatArray], Candidates]  # outputs, (C,) thresholds (above 1 = left out)
-
-
-def decode_rows(output: int, outputs: Sequence[FloatArray32], min_score: FloatArray) -> Candidates:
-    """Candidates of one output [1, N, 5 + C]: centre x, y, width, height in input pixels, objectness, class scores.
-
-    Layout of YOLOv5's official export, and of YOLOv3 and YOLOv4 exports made with the same tools.
-    score = objectness * class score.
-    """
-    rows = outputs[output][0]
-    rows = rows[~(rows[:, 4] < min_score.min())]  # the score cannot exceed the objectness
-    return Candidates.of(xyxy_from_cxcywh(rows[:, :4].astype(np.float64)), rows[:, 4:5] * rows[:, 5:], min_score)
-
-
-def decode_grid_rows(
-    output: int, cell_xy: FloatArray, stride_px: FloatArray, outputs: Sequence[FloatArray32], min_score: FloatArray
-) -> Candidates:
-    """Candidates of YOLOX's output [1, N, 5 + C]: offset from the cell in cells, log size in strides, scores.
-
-        centre = (xy + cell) * stride        size = exp(wh) * stride        score = objectness * class score
-
-    `cell_xy` (N, 2) and `stride_px` (N,) are those of each box, see `grid_cells`. (Ge et al., "YOLOX", 2021.)
-    """
-    rows = outputs[output][0]
-    kept = np.flatnonzero(~(rows[:, 4] < min_score.min()))
-    rows, cell, stride = rows[kept], cell_xy[kept], stride_px[kept, None]
-    xy, wh = rows[:, :2].astype(np.float64), rows[:, 2:4].astype(np.float64)
-    cxcywh = np.concatenate([xy + cell, np.exp(wh)], axis=1) * stride
-    return Candidates.of(xyxy_from_cxcywh(cxcywh), rows[:, 4:5] * rows[:, 5:], min_score)
-
-
-def grid_cells(input_hw: tuple[int, int], strides_px: Sequence[int]) -> tuple[FloatArray, FloatArray]:
-    """(N, 2) column and row, and (N,) stride, of the cells of an input, row by row, that all strides divide."""
-    grids = [(stride, *(side // stride for side in input_hw)) for stride in strides_px]
-    cells = [np.stack(np.meshgrid(np.arange(w), np.arange(h)), axis=-1).reshape(-1, 2) for _, h, w in grids]
-    strides = [np.full(h * w, stride) for stride, h, w in grids]
-    return np.concatenate(cells).astype(np.float64), np.concatenate(strides).astype(np.float64)
-
-
-def decode_columns(output: int, outputs: Sequence[FloatArray32], min_score: FloatArray) -> Candidates:
-    """Candidates of one output [1, 4 + C, N]: centre x, y, width, height in input pixels, class scores.
-
-    Layout of the exports of YOLOv8 and YOLO11, which have no objectness.
-    """
-    columns = outputs[output][0]
-    kept = np.flatnonzero(~(columns[4:].max(axis=0) < min_score.min()))
-    rows = columns[:, kept].T
-    return Candidates.of(xyxy_from_cxcywh(rows[:, :4].astype(np.float64)), rows[:, 4:], min_score)
-
-
-def decode_corners(
-    boxes: int, scores: int, input_hw: tuple[int, int], outputs: Sequence[FloatArray32], min_score: FloatArray
-) -> Candidates:
-    """Candidates of two outputs: boxes [1, N, 1, 4] or [1, N, 4] and class scores [1, N, C].
-
-    Boxes are left, top, right, bottom as fractions of the input size; scores include the objectness. Layout of decoded
-    exports of YOLOv4 and YOLOv4-tiny.
-    """
-    class_score = outputs[scores][0]
-    kept = np.flatnonzero(~(class_score.max(axis=1) < min_score.min()))
-    height, width = input_hw
-    fractions = outputs[boxes].reshape(-1, 4)[kept].astype(np.float64)
-    xyxy_net = fractions * np.array([width, height, width, height], np.float64)
-    return Candidates.of(xyxy_net, class_score[kept], min_score)
+BoxCode = Callable[[FloatArray, IntArray], FloatArray]  # numbers (K, k) of the rows (K,) -> (K, 4) corners in pixels
+Activation = Literal["none", "sigmoid", "softmax"]
 
 
 @dataclass(frozen=True, slots=True)
-class Head:
-    """One raw Darknet head [1, A (5 + C), rows, columns]: tx, ty, tw, th, objectness, C classes of each anchor."""
+class Part:
+    """Columns of the N rows of one output: [1, ..., K] with K columns, or [1, A K, ...], anchor by anchor."""
 
-    anchors_px: FloatArray  # (A, 2) width and height in input pixels
-    stride_px: FloatArray  # (2,) size of a cell in x and y
-    scale_x_y: float  # Darknet's factor s on the range of the centre offsets; 1 = no scaling
+    output: int
+    columns: slice = field(default_factory=lambda: slice(None))
+    n_anchors: int = 0  # A of [1, A K, ...]; 0 = the columns are the last dimension
+
+    def of(self, outputs: Sequence[FloatArray32]) -> FloatArray32:
+        """(N, k) the columns of all rows."""
+        array: FloatArray32 = outputs[self.output][0]
+        if not self.n_anchors:
+            return np.asarray(array.reshape(-1, array.shape[-1])[:, self.columns])
+        planes = array.reshape(self.n_anchors, array.shape[0] // self.n_anchors, -1)[:, self.columns]
+        return np.asarray(
+            planes[0].T if self.n_anchors == 1 else planes.transpose(0, 2, 1).reshape(-1, planes.shape[1])
+        )
+
+    def at(self, outputs: Sequence[FloatArray32], rows: IntArray) -> FloatArray32:
+        """(K, k) the columns of some rows (K,)."""
+        if self.n_anchors <= 1:
+            return self.of(outputs)[rows]
+        array = outputs[self.output][0]
+        planes = array.reshape(self.n_anchors, array.shape[0] // self.n_anchors, -1)
+        anchor, cell = np.divmod(rows, planes.shape[2])
+        return np.asarray(planes[anchor, :, cell][:, self.columns])
 
 
-def decode_heads(heads: Sequence[Head], outputs: Sequence[FloatArray32], min_score: FloatArray) -> Candidates:
-    """Candidates of the raw outputs before Darknet's [yolo] layers, one for each head.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rows:
+    """N boxes in the outputs. score = activation(objectness) * activation(class score); 1 without objectness."""
+
+    boxes: Part
+    scores: Part
+    code: BoxCode  # meaning of the columns of `boxes`
+    objectness: Part | None = None
+    activation: Activation = "none"  # still to be applied to the scores
+    classes: slice = field(
+        default_factory=lambda: slice(None)
+    )  # columns of the scores, after the activation, that are classes; others: background
+    cell_px: FloatArray | None = None  # (N, 2) centres of the grid cells
+
+
+def decode_rows(levels: Sequence[Rows], outputs: Sequence[FloatArray32], min_score: FloatArray) -> Candidates:
+    """Candidates of all levels, for each the rows of one grid."""
+    boxes, scores, cells = [], [], []
+    lowest = float(min_score.min())
+    threshold = {"none": lowest, "sigmoid": logit(lowest), "softmax": -np.inf}
+    for level in levels:
+        if level.objectness is not None:
+            reached = level.objectness.of(outputs)[:, 0]  # the score cannot exceed the objectness
+        else:
+            reached = level.scores.of(outputs).max(axis=1)
+        kept = np.flatnonzero(~(reached < np.float32(threshold[level.activation])))
+        score = _activated(level.scores.at(outputs, kept), level.activation)[:, level.classes]
+        if level.objectness is not None:
+            score = _activated(level.objectness.at(outputs, kept), level.activation) * score
+        boxes.append(level.code(level.boxes.at(outputs, kept).astype(np.float64), kept))
+        scores.append(score.astype(np.float32))
+        cells.append(np.full((len(kept), 2), np.nan) if level.cell_px is None else level.cell_px[kept])
+    return Candidates.of(np.concatenate(boxes), np.concatenate(scores), min_score, np.concatenate(cells))
+
+
+def _activated(values: FloatArray32, activation: Activation) -> FloatArray | FloatArray32:
+    if activation == "none":
+        return values
+    return sigmoid(values.astype(np.float64)) if activation == "sigmoid" else softmax(values.astype(np.float64), axis=1)
+
+
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """The grid cells of N boxes: grid by grid, in each anchor by anchor, row by row."""
+
+    column_row: FloatArray  # (N, 2)
+    stride_px: FloatArray  # (N, 2) size of the cell in x and y
+
+    @classmethod
+    def of(
+        cls, input_hw: tuple[int, int], strides_px: Sequence[int], n_anchors: int = 1, *, is_rounded_up: bool = False
+    ) -> Cells:
+        """The cells of an input of this size; without `is_rounded_up`, all strides divide it."""
+        cells, strides = [np.zeros((0, 2))], [np.zeros((0, 2))]
+        for s in strides_px:
+            grid_hw = [-(-side // s) if is_rounded_up else side // s for side in input_hw]
+            grid = cls.of_grid(input_hw, grid_hw, n_anchors)
+            cells.append(grid.column_row)
+            strides.append(np.full((len(grid.column_row), 2), float(s)))
+        return cls(np.concatenate(cells), np.concatenate(strides))
+
+    @classmethod
+    def of_grid(cls, input_hw: tuple[int, int], grid_hw: Sequence[int], n_anchors: int = 1) -> Cells:
+        """The cells of one grid of h rows and w columns."""
+        (height, width), (h, w) = input_hw, grid_hw
+        cells = np.stack(np.meshgrid(np.arange(w), np.arange(h)), axis=-1).reshape(-1, 2).astype(np.float64)
+        return cls(np.tile(cells, (n_anchors, 1)), np.full((n_anchors * h * w, 2), (width / w, height / h)))
+
+    def points_px(self, offset: float = 0.5) -> FloatArray:
+        """(N, 2) x and y of the point at `offset` of each cell."""
+        return np.asarray((self.column_row + offset) * self.stride_px)
+
+
+def corners(unit_xy: tuple[float, float] = (1.0, 1.0)) -> BoxCode:
+    """Left, top, right, bottom in a unit of so many pixels: 1, or the size of the input."""
+    scale = np.array([*unit_xy, *unit_xy], np.float64)
+    return lambda numbers, _: numbers * scale
+
+
+def rows_first(unit_xy: tuple[float, float]) -> BoxCode:
+    """Top, left, bottom, right in a unit of so many pixels."""
+    code = corners(unit_xy)
+    return lambda numbers, rows: code(numbers[:, [1, 0, 3, 2]], rows)
+
+
+def centres(unit_xy: tuple[float, float] = (1.0, 1.0)) -> BoxCode:
+    """Centre x, y, width, height in a unit of so many pixels."""
+    scale = np.array([*unit_xy, *unit_xy], np.float64)
+    return lambda numbers, _: xyxy_from_cxcywh(numbers * scale)
+
+
+def cell_offsets(cells: Cells) -> BoxCode:
+    """YOLOX's offset from the cell in cells, log size in strides (Ge et al., "YOLOX", 2021).
+
+    centre = (xy + cell) * stride        size = exp(wh) * stride
+    """
+
+    def code(numbers: FloatArray, rows: IntArray) -> FloatArray:
+        cxcywh = np.concatenate([numbers[:, :2] + cells.column_row[rows], np.exp(numbers[:, 2:])], axis=1)
+        return xyxy_from_cxcywh(cxcywh * np.tile(cells.stride_px[rows], 2))
+
+    return code
+
+
+def distances(centre_px: FloatArray) -> BoxCode:
+    """Distances in pixels from a point (N, 2) of each cell to left, top, right, bottom, as of RTMDet."""
+
+    def code(numbers: FloatArray, rows: IntArray) -> FloatArray:
+        point = centre_px[rows]
+        return np.concatenate([point - numbers[:, :2], point + numbers[:, 2:]], axis=1)
+
+    return code
+
+
+def binned_distances(
+    centre_px: FloatArray, stride_px: FloatArray, n_bins: int, clipped_to_hw: tuple[int, int] | None = None
+) -> BoxCode:
+    """Logits of R + 1 = `n_bins` distances for each side ("Generalized Focal Loss", Li et al. 2020, equations 5 and 6).
+
+    P(k) = exp(t_k) / sum over j of exp(t_j)          distance = stride * sum over k of k P(k)
+    """
+    point_code = distances(centre_px)
+
+    def code(numbers: FloatArray, rows: IntArray) -> FloatArray:
+        probability = softmax(numbers.reshape(-1, 4, n_bins), axis=2)
+        boxes = point_code((probability @ np.arange(n_bins)) * np.tile(stride_px[rows], 2), rows)
+        return boxes if clipped_to_hw is None else np.clip(boxes, 0, np.tile(clipped_to_hw[::-1], 2))
+
+    return code
+
+
+def anchored(
+    cells: Cells, anchors_px: FloatArray, *, scale_x_y: float = 2.0, size: Literal["exp", "square"], is_logit: bool
+) -> BoxCode:
+    """Offsets and sizes relative to A anchors (A, 2) of the cells of one grid.
 
         centre = (s * sigmoid(t_xy) - (s - 1) / 2 + cell) * stride        s = scale_x_y
-        size   = anchor * exp(t_wh)          score = sigmoid(t_o) * sigmoid(t_c)
+        size   = anchor * exp(t_wh), or anchor * (2 sigmoid(t_wh))^2
 
-    (Redmon & Farhadi, "YOLOv3", 2018; Bochkovskiy et al., "YOLOv4", 2020, section 3.4 for s.)
+    (Redmon & Farhadi, "YOLOv3", 2018; Bochkovskiy et al., "YOLOv4", 2020, section 3.4 for s; YOLOv5's head, with s = 2,
+    for the second size.) Without `is_logit`, the sigmoid is part of the network.
     """
-    boxes, scores = [], []
-    for head, (raw,) in zip(heads, outputs, strict=True):
-        n_rows, n_columns = raw.shape[1:]
-        cells = raw.reshape(len(head.anchors_px), -1, n_rows, n_columns)
-        min_logit = np.float32(logit(float(min_score.min())))
-        anchor, row, column = np.nonzero(~(cells[:, 4] < min_logit))
-        t = cells[anchor, :, row, column].astype(np.float64)
-        s, cell = head.scale_x_y, np.stack([column, row], axis=1)
-        centre = (s * sigmoid(t[:, :2]) - (s - 1) / 2 + cell) * head.stride_px
-        size = head.anchors_px[anchor] * np.exp(t[:, 2:4])
-        boxes.append(xyxy_from_cxcywh(np.concatenate([centre, size], axis=1)))
-        scores.append((sigmoid(t[:, 4:5]) * sigmoid(t[:, 5:])).astype(np.float32))
-    return Candidates.of(np.concatenate(boxes), np.concatenate(scores), min_score)
+
+    def code(numbers: FloatArray, rows: IntArray) -> FloatArray:
+        anchor = anchors_px[rows // (len(cells.column_row) // len(anchors_px))]
+        fraction = sigmoid(numbers) if is_logit else numbers
+        offset = scale_x_y * fraction[:, :2] - (scale_x_y - 1) / 2 + cells.column_row[rows]
+        factor = np.exp(numbers[:, 2:]) if size == "exp" else (2 * fraction[:, 2:]) ** 2
+        return xyxy_from_cxcywh(np.concatenate([offset * cells.stride_px[rows], anchor * factor], axis=1))
+
+    return code
 
 
 def sigmoid(x: FloatArray) -> FloatArray:

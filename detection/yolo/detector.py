@@ -20,6 +20,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -31,7 +32,8 @@ from track_range.detection.detector import MAX_IOU
 from track_range.detection.models.metadata import Attribute, ModelMetadata, ModelOptions, read_metadata
 from track_range.detection.models.onnx_session import BoundNetwork, ModelError, OnnxSession, Runtime
 from track_range.detection.yolo.decoders import Candidates
-from track_range.detection.yolo.layouts import identify_layout
+from track_range.detection.yolo.first_images import N_IMAGES, FirstImages
+from track_range.detection.yolo.layouts import readings_of
 from track_range.detection.yolo.letterbox import Letterbox, input_hw_of_area, rectangular_input_hw
 from track_range.detection.yolo.network_outputs import NetworkOutputs, YoloModel
 from track_range.foundation.arrays import FloatArray, FloatArray32, Image, IntArray
@@ -108,10 +110,13 @@ class YoloDetector:
         self._settings = settings or YoloSettings()
         self._session = OnnxSession(path, runtime)
         task = self._session.metadata.get("task", "detect")  # written by Ultralytics' exporter
-        if task != "detect":
-            raise ModelError(f"{path}: expected a network for the task 'detect', got one for {quoted(task)}.")
+        if task not in ("detect", "segment", "pose"):
+            raise ModelError(
+                f"{path}: expected a network for the task 'detect', 'segment' or 'pose', got one for {quoted(task)}."
+            )
         self._metadata: ModelMetadata = read_metadata(path, self._session.metadata, options or ModelOptions())
-        self._bound: dict[tuple[int, int], tuple[BoundNetwork, YoloModel]] = {}
+        self._bound: dict[tuple[int, int], tuple[BoundNetwork, tuple[YoloModel, ...]]] = {}
+        self._first_images = FirstImages(path)
         self._last: tuple[list[FloatArray32], _Input] | None = None
         self._preparing = threading.Lock()
         self.n_invalid = 0
@@ -122,6 +127,10 @@ class YoloDetector:
             self.size, self.area = Attribute(self._settings.size_px, "as specified"), None
         self._input = self._prepare(image_hw=(self.size.value, self.size.value))
         self._filled = self._input, self._input.buffers()
+        self._set_thresholds()
+
+    def _set_thresholds(self) -> None:
+        """The road class and threshold of each class of the network; ModelError if none is to be detected."""
         names = self.model.names
         self._road_class: IntArray = map_to_road_classes(names)
         thresholds = np.append(self._settings.min_score_by_class(), _UNREACHABLE_SCORE)  # index -1: no road class
@@ -129,7 +138,7 @@ class YoloDetector:
         if (self._min_score >= _UNREACHABLE_SCORE).all():
             first_names = shortened(", ".join(names[:8]))
             raise ModelError(
-                f"{path}: none of its classes ({first_names}, ...) is one of the road classes to detect; "
+                f"{self._session.path}: none of its classes ({first_names}, ...) is one of the road classes to detect; "
                 "choose other classes or another model."
             )
 
@@ -149,6 +158,20 @@ class YoloDetector:
         return self._input.model
 
     @property
+    def readings(self) -> tuple[YoloModel, ...]:
+        """All meanings that the outputs may have by their shapes; `model` is the chosen or the usual one."""
+        return self._bound[self.input_hw][1]
+
+    @property
+    def why(self) -> str:
+        """Reason for the choice of the layout."""
+        if self._first_images.why:
+            return self._first_images.why
+        if self._metadata.get("layout", None, "").value is not None:
+            return self._metadata.get("layout", None, "").source
+        return "the shapes of the outputs" if len(self.readings) == 1 else "the usual one for the shapes of the outputs"
+
+    @property
     def box_errors(self) -> BoxErrors | None:
         """Systematic errors of the boxes; None = unknown."""
         errors: BoxErrors | None = self.model.attributes["box_errors"].value
@@ -162,12 +185,21 @@ class YoloDetector:
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes for the user on the model and on dropped boxes."""
-        names = f"Class names of {self._session.path.name}: {self.model.attributes['names'].source}."
-        if not self.n_invalid:
-            return (*self._session.notes, names)
-        boxes = "1 box" if self.n_invalid == 1 else f"{self.n_invalid} boxes"
-        invalid = f"The network returned NaN, infinite numbers or unknown labels; {boxes} dropped."
-        return (*self._session.notes, names, invalid)
+        name, first = self._session.path.name, self._first_images
+        notes = [*self._session.notes, f"Class names of {name}: {self.model.attributes['names'].source}."]
+        if self.model.name != self.readings[0].name:
+            notes.append(f"The outputs of {name} are read as {self.model.name} ({self.model.layout}): {self.why}.")
+        if self.model.note:
+            notes.append(self.model.note)
+        if first.n_checked >= N_IMAGES and not first.n_detected:
+            notes.append(
+                f"{name} detected nothing of any class on the first {N_IMAGES} images; if they show road users, its "
+                "input or its outputs are read wrongly (`track-range models info --image`)."
+            )
+        if self.n_invalid:
+            boxes = "1 box" if self.n_invalid == 1 else f"{self.n_invalid} boxes"
+            notes.append(f"The network returned NaN, infinite numbers or unknown labels; {boxes} dropped.")
+        return tuple(notes)
 
     def detect(self, image: Image) -> Detections:
         """The road users in `image`, (H, W, 3) uint8 BGR, in order of decreasing score."""
@@ -220,6 +252,8 @@ class YoloDetector:
         return self._decoded(outputs, self._filled[0], self._min_score if min_score is None else min_score)
 
     def _decoded(self, outputs: list[FloatArray32], source: _Input, min_score: FloatArray) -> Detections:
+        if min_score is self._min_score:
+            self._first_images.check(source.model, outputs, source.letterbox.input_hw)
         with np.errstate(over="ignore", invalid="ignore"):  # the decoder drops and counts what is not finite
             candidates = source.model.decoder(outputs, min_score)
         self.n_invalid += candidates.n_invalid
@@ -234,6 +268,10 @@ class YoloDetector:
         with self._preparing:  # `fill` and `prepared` may be in progress at once
             if self._input.letterbox.image_hw != image.shape[:2]:
                 self._input = self._prepare(image_hw=(image.shape[0], image.shape[1]))
+            if self._session.n_channels == 1:
+                image = np.repeat(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)[..., None], 3, axis=2)
+            if not self._first_images.chosen and len(self.readings) > 1:
+                self._compare_readings(image)
             source = self._input
         blob, scaled = source.buffers()
         source.model.input_format.write(image, source.letterbox, blob, scaled=scaled)
@@ -247,6 +285,7 @@ class YoloDetector:
                 del self._bound[next(iter(self._bound))]
             network = self._session.bound(input_hw)
             outputs = NetworkOutputs(
+                has_integer_input=self._session.has_integer_input,
                 path=self._session.path,
                 input_hw=input_hw,
                 names=tuple(network.output_shapes),
@@ -255,16 +294,38 @@ class YoloDetector:
                 has_target_sizes=self._session.has_target_sizes,
                 metadata=self._metadata,
             )
-            self._bound[input_hw] = network, identify_layout(outputs)
-        network, model = self._bound[input_hw]
-        letterbox = Letterbox.of_placement(model.input_format.placement, image_hw, input_hw)
-        return _Input(network, model, letterbox)
+            self._bound[input_hw] = network, readings_of(outputs)
+        network, readings = self._bound[input_hw]
+        chosen = [reading for reading in readings if reading.name == self._first_images.chosen]
+        return self._as_read(network, (chosen or readings)[0], image_hw, input_hw)
+
+    def _as_read(
+        self, network: BoundNetwork, model: YoloModel, image_hw: tuple[int, int], input_hw: tuple[int, int]
+    ) -> _Input:
+        return _Input(network, model, Letterbox.of_placement(model.input_format.placement, image_hw, input_hw))
+
+    def _compare_readings(self, image: Image) -> None:
+        """Compare the readings of the outputs on `image`, one of the first, and use the best one from now on."""
+        network, readings = self._bound[self.input_hw]
+        letterbox = self._input.letterbox
+        inputs = [self._as_read(network, reading, letterbox.image_hw, letterbox.input_hw) for reading in readings]
+        by_format: dict[object, list[FloatArray32]] = {}
+        for source in inputs:
+            if source.model.input_format not in by_format:
+                blob, scaled = source.buffers()
+                source.model.input_format.write(image, source.letterbox, blob, scaled=scaled)
+                by_format[source.model.input_format] = self._session.run(blob)
+        outputs = [by_format[source.model.input_format] for source in inputs]
+        best = self._first_images.compare(readings, outputs, letterbox.input_hw)
+        if best.name != self._input.model.name:
+            self._input = next(source for source in inputs if source.model is best)
+            self._set_thresholds()
 
     def _input_hw(self, image_hw: tuple[int, int]) -> tuple[int, int]:
         _, _, height, width = self._session.input_shape
         if height is not None and width is not None:
             return height, width
-        is_square = self._settings.is_square or any(model.is_square for _, model in self._bound.values())
+        is_square = self._settings.is_square or any(readings[0].is_square for _, readings in self._bound.values())
         shape_hw = (1, 1) if is_square else image_hw
         if self.area is not None:
             return input_hw_of_area(shape_hw, area_px2=self.area.value)

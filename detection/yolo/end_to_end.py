@@ -1,30 +1,44 @@
 """Layouts of networks that return one box per object, without non-maximum suppression.
 
-    outputs (N at most 1000)                           family
-    [1, N, 6] left, top, right, bottom, score, label   YOLOv10, YOLO26; other YOLO networks exported with suppression
-    labels [1, N], boxes [1, N, 4], scores [1, N]      RT-DETR, D-FINE, DEIM, DEIMv2, with the input orig_target_sizes
-    logits [1, N, K], boxes [1, N, 4]                  RF-DETR; DETR, RT-DETR, D-FINE from Hugging Face's exporter
-    [1, N, 6] box, score, label                        RT-DETR from Ultralytics' exporter, by its metadata
-    [1, N, 4 + C] box, class scores                    RT-DETR from older versions of it
+    outputs (N at most 1000)                               readings (`--layout`), the usual one first
+    [1, N, 6], [N, 6] left, top, right, bottom, score, label   yolov10 (YOLO26; other YOLO exported with suppression)
+    [1, N, 6 + K]                                          yolov10, with K coefficients of masks or keypoints, ignored
+    [N, 7], [1, N, 7] batch, box, label, score             yolov7-end2end; yolo-nas-flat: score, label
+    [1, 1, N, 7] batch, label, score, box as fractions     ssd-detections
+    labels [1, N], boxes [1, N, 4], scores [1, N]          d-fine (RT-DETR, DEIM), with the input orig_target_sizes
+    the same and a number of boxes, [1] or [1, 1]          end2end
+    boxes [1, N, 5] or [N, 5] with scores, labels [1, N]   mmdet
+    boxes [N, 4], scores [N], labels [N]                   torchvision
+    logits [1, N, K], boxes [1, N, 4]                      detr (RF-DETR; DETR, RT-DETR, D-FINE from Hugging Face)
+    [1, N, 6] box, score, label                            rt-detr-rows, from Ultralytics' exporter, by its metadata
+    [1, N, 4 + C] box, class scores                        rt-detr-queries, from older versions of it
 
 The outputs are recognised by shape and type, since RF-DETR calls its logits `labels`; names decide only if two shapes
 are the same. (Carion et al., "End-to-End Object Detection with Transformers", 2020; Wang et al., "YOLOv10", 2024; Peng
-et al., "D-FINE", 2024; Robinson et al., "RF-DETR", 2025.)
+et al., "D-FINE", 2024; Robinson et al., "RF-DETR", 2025; exporters of YOLOv7, super-gradients, MMDeploy.)
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.special import softmax
 
-from track_range.detection.boxes import xyxy_from_cxcywh
 from track_range.detection.models.metadata import RT_DETR_DESCRIPTION
 from track_range.detection.models.onnx_session import TARGET_SIZES, ModelError
-from track_range.detection.yolo.decoders import Candidates, Decoder, sigmoid
+from track_range.detection.yolo.decoders import (
+    BoxCode,
+    Candidates,
+    Decoder,
+    Part,
+    Rows,
+    centres,
+    corners,
+    decode_rows,
+    rows_first,
+)
 from track_range.detection.yolo.input_format import IMAGENET_MEAN, IMAGENET_STD, InputFormat
 from track_range.detection.yolo.network_outputs import NetworkOutputs, YoloModel
 from track_range.foundation.arrays import FloatArray, FloatArray32
@@ -33,136 +47,181 @@ _MAX_BOXES = 1000  # largest number of boxes of end-to-end networks (100 to 900 
 _N_CATEGORIES = 91  # logits of networks trained on COCO's category ids 0 to 90
 _RT_DETR_HEAD = "RTDETRDecoder"  # class of RT-DETR's head in the metadata that Ultralytics' exporter writes
 
+_LOWEST_SCORE = 0.05  # boxes with less are padding
+N_MASKS = 32  # coefficients of a mask in segmentation networks
+MASKS_NOTE = "Masks of the segmentation network are ignored."
+KEYPOINTS_NOTE = "Keypoints of the pose network are ignored."
+
 _STRETCHED_INPUT = InputFormat(placement="stretch")
 _IMAGENET_INPUT = replace(_STRETCHED_INPUT, mean=IMAGENET_MEAN, std=IMAGENET_STD)
+_MMDET_INPUT = InputFormat(  # of MMDetection's RTMDet
+    placement="top-left", colours="bgr", divisor=1.0, mean=(103.53, 116.28, 123.675), std=(57.375, 57.12, 58.395)
+)
 
 
-def _decode_labelled_rows(
-    output: int, fractions_of_hw: tuple[int, int] | None, outputs: Sequence[FloatArray32], min_score: FloatArray
-) -> Candidates:
-    """Candidates of one output [1, N, 6]: box, score, label.
-
-    Boxes are left, top, right, bottom in input pixels, or centre x, y, width, height as fractions of an input size.
-    """
-    rows = outputs[output][0].astype(np.float64)
-    rows = rows[~(rows[:, 4] < min_score.min())]
-    boxes = rows[:, :4] if fractions_of_hw is None else _boxes_of_fractions(rows[:, :4], fractions_of_hw)
-    return Candidates.of_labels(boxes, rows[:, 4], rows[:, 5], min_score)
+Place = tuple[int, slice | None]  # an output, and columns of it; None = the output is a vector of N numbers
 
 
-def _decode_labelled_boxes(
-    labels: int, boxes: int, scores: int, outputs: Sequence[FloatArray32], min_score: FloatArray
-) -> Candidates:
-    """Candidates of labels [1, N], boxes [1, N, 4] (left, top, right, bottom in input pixels) and scores [1, N].
+@dataclass(frozen=True, slots=True)
+class LabelledBoxes:
+    """N boxes with one score and label each; the parts may be columns of one output, with or without a batch axis."""
 
-    The network scales its boxes to `orig_target_sizes`, which is the size of its input here.
-    """
-    label, xyxy, score = (outputs[i][0].astype(np.float64) for i in (labels, boxes, scores))
-    kept = ~(score < min_score.min())
-    return Candidates.of_labels(xyxy[kept], score[kept], label[kept], min_score)
+    boxes: Place
+    score: Place
+    label: Place
+    code: BoxCode
+    first_label: int = 0  # number of the first class; 1 = label 0 is the background
 
+    def decode(self, outputs: Sequence[FloatArray32], min_score: FloatArray) -> Candidates:
+        """Candidates of all boxes."""
+        score, label = (_numbers(outputs, place).reshape(-1) for place in (self.score, self.label))
+        kept = np.flatnonzero(~(score < min_score.min()))
+        boxes = self.code(_numbers(outputs, self.boxes)[kept], kept)
+        return Candidates.of_labels(boxes, score[kept], label[kept] - self.first_label, min_score)
 
-def _decode_queries(
-    logits_output: int,
-    boxes_output: int,
-    input_hw: tuple[int, int],
-    n_classes: int,
-    is_softmax: bool,
-    outputs: Sequence[FloatArray32],
-    min_score: FloatArray,
-) -> Candidates:
-    """Candidates of logits [1, N, K] and boxes [1, N, 4]: centre x, y, width, height as fractions of the input size.
-
-        score = sigmoid(logit_c)                          networks trained with focal loss
-        score = exp(logit_c) / sum over K of exp(logit)   DETR, whose last logit means "no object"
-
-    Each query gives its best class; RF-DETR's and RT-DETR's own postprocessing also returns further classes of the same
-    box with lower scores. Logits after the first `n_classes` mean "no object".
-    """
-    logits = outputs[logits_output][0].astype(np.float64)
-    scores = (softmax(logits, axis=-1) if is_softmax else sigmoid(logits))[:, :n_classes]
-    kept = np.flatnonzero(~(scores.max(axis=1) < min_score.min()))
-    boxes = _boxes_of_fractions(outputs[boxes_output][0][kept], input_hw)
-    return Candidates.of(boxes, scores[kept].astype(np.float32), min_score)
+    def is_possible(self, outputs: Sequence[FloatArray32]) -> bool:
+        """Whether the labels of boxes with a score are whole numbers, and scores at most 1."""
+        score, label = (_numbers(outputs, place).reshape(-1) for place in (self.score, self.label))
+        label = label[score > _LOWEST_SCORE]
+        return bool((label == np.floor(label)).all() and not (score > 1.001).any())
 
 
-def _decode_query_rows(
-    output: int, input_hw: tuple[int, int], outputs: Sequence[FloatArray32], min_score: FloatArray
-) -> Candidates:
-    """Candidates of one output [1, N, 4 + C]: box as fractions of the input size, class scores."""
-    rows = outputs[output][0]
-    rows = rows[~(rows[:, 4:].max(axis=1) < min_score.min())]
-    return Candidates.of(_boxes_of_fractions(rows[:, :4], input_hw), rows[:, 4:], min_score)
+def _numbers(outputs: Sequence[FloatArray32], place: Place) -> FloatArray:
+    array, columns = outputs[place[0]].astype(np.float64), place[1]
+    return array.reshape(-1) if columns is None else array.reshape(-1, array.shape[-1])[:, columns]
 
 
-def _boxes_of_fractions(cxcywh: FloatArray | FloatArray32, input_hw: tuple[int, int]) -> FloatArray:
-    """(N, 4) corners in input pixels of boxes (N, 4) given as centre and size in fractions of the input size."""
-    height, width = input_hw
-    return xyxy_from_cxcywh(cxcywh.astype(np.float64)) * np.array([width, height, width, height], np.float64)
+def _rows_of(output: int, box: int, score: int, label: int, code: BoxCode) -> LabelledBoxes:
+    """Boxes in rows of one output, with the first column of the box, and those of score and label."""
+    columns = (slice(box, box + 4), slice(score, score + 1), slice(label, label + 1))
+    boxes, scores, labels = ((output, column) for column in columns)
+    return LabelledBoxes(boxes, scores, labels, code)
 
 
-def labelled_rows(network: NetworkOutputs) -> YoloModel | None:
-    """Match of [1, N, 6], left, top, right, bottom, score, label: few rows, or marked `end2end` in the metadata."""
+def labelled_rows(network: NetworkOutputs) -> Iterator[YoloModel]:
+    """Readings of [1, N, 6], [N, 6] and [.., 7]: few rows, or any number of rows, or `end2end` in the metadata."""
     is_marked = network.metadata.get("end2end", False, "").value
     if network.metadata.get("head", None, "").value == RT_DETR_DESCRIPTION:
-        return None
-    for i, n_rows, n_columns in network.matrices():
-        if n_columns == 6 and (n_rows <= _MAX_BOXES or is_marked):
-            layout = f"end-to-end rows {[1, n_rows, n_columns]}: corners, score, label"
-            decoder = partial(_decode_labelled_rows, i, None)
-            return YoloModel("YOLOv10/YOLO26", layout, None, InputFormat(), decoder, is_end_to_end=True)
-    return None
+        return
+    pixels, fractions = corners(), corners(network.input_wh)
+    for i, shape in enumerate(network.shapes):
+        if len(shape) not in (2, 3, 4) or any(length != 1 for length in shape[:-2]):
+            continue
+        n_rows, n_columns = shape[-2:]
+        others, is_few = n_columns - 6, n_rows <= _MAX_BOXES and not network.is_grid(n_rows)
+        has_masks = others == N_MASKS and any(len(s) == 4 and s[:2] == (1, N_MASKS) for s in network.shapes)
+        note = MASKS_NOTE if has_masks else KEYPOINTS_NOTE if others > 0 and others == network.n_keypoints else ""
+        readings: tuple[tuple[str, str, str, LabelledBoxes], ...] = ()
+        if len(shape) == 4 and n_columns == 7:
+            text = "batch, label, score, corners as fractions"
+            readings = (("SSD", "ssd-detections", text, _rows_of(i, 3, 2, 1, fractions)),)
+        elif n_columns == 7 and len(shape) == 2:
+            readings = (
+                ("YOLOv7", "yolov7-end2end", "batch, corners, label, score", _rows_of(i, 1, 6, 5, pixels)),
+                ("YOLO-NAS", "yolo-nas-flat", "batch, corners, score, label", _rows_of(i, 1, 5, 6, pixels)),
+            )
+        elif len(shape) != 4 and (is_few or is_marked or len(shape) == 2) and (others == 0 or note):
+            readings = (
+                ("YOLOv10/YOLO26", "yolov10", "corners, score, label", _rows_of(i, 0, 4, 5, pixels)),
+                ("YOLOv10/YOLO26", "yolov10-fractions", "corners as fractions", _rows_of(i, 0, 4, 5, fractions)),
+                ("PaddleDetection", "paddle-rows", "label, score, corners", _rows_of(i, 2, 1, 0, pixels)),
+            )
+        for family, name, text, rows in readings:
+            model = _labelled(family, name, f"end-to-end rows {list(shape)}: {text}", rows)
+            form = _STRETCHED_INPUT if name == "ssd-detections" else model.input_format
+            yield replace(model, note=note, input_format=form)
 
 
-def labelled_query_rows(network: NetworkOutputs) -> YoloModel | None:
-    """Match of [1, N, 6], box as fractions, score, label: as `labelled_rows`, with RT-DETR's head in the metadata.
+def _labelled(family: str, name: str, layout: str, boxes: LabelledBoxes) -> YoloModel:
+    return YoloModel(
+        family, layout, None, InputFormat(), boxes.decode, is_end_to_end=True, name=name, accepts=boxes.is_possible
+    )
+
+
+def labelled_query_rows(network: NetworkOutputs) -> Iterator[YoloModel]:
+    """Reading of [1, N, 6], box as fractions, score, label: as `labelled_rows`, with RT-DETR's head in the metadata.
 
     Older versions of Ultralytics return [1, N, 4 + C] (`query_rows`), which is the same shape for two classes; their
     metadata have no `head`.
     """
     head = network.metadata.get("head", None, "").value
     if head != _RT_DETR_HEAD and (head != RT_DETR_DESCRIPTION or network.n_names == 2):
-        return None
+        return
     for i, n_rows, n_columns in network.matrices():
         if n_columns == 6 and n_rows <= _MAX_BOXES:
             layout = f"rows {[1, n_rows, n_columns]}: box as fractions, score, label"
-            return _square_model("RT-DETR", layout, None, partial(_decode_labelled_rows, i, network.input_hw))
-    return None
+            decoder = _rows_of(i, 0, 4, 5, centres(network.input_wh)).decode
+            yield _square_model("RT-DETR", "rt-detr-rows", layout, None, decoder)
 
 
-def _square_model(family: str, layout: str, n_classes: int | None, decoder: Decoder) -> YoloModel:
-    return YoloModel(family, layout, n_classes, _STRETCHED_INPUT, decoder, is_end_to_end=True, is_square=True)
+def _square_model(family: str, name: str, layout: str, n_classes: int | None, decoder: Decoder) -> YoloModel:
+    return YoloModel(
+        family, layout, n_classes, _STRETCHED_INPUT, decoder, is_end_to_end=True, is_square=True, name=name
+    )
 
 
-def labels_boxes_scores(network: NetworkOutputs) -> YoloModel | None:
-    """Match of integer labels [1, N], boxes [1, N, 4] and scores [1, N], in any order.
+def labels_boxes_scores(network: NetworkOutputs) -> Iterator[YoloModel]:
+    """Readings of labels [1, N], boxes [1, N, 4] and scores [1, N], in any order, or with scores in the boxes.
 
-    ModelError: the network lacks the input `orig_target_sizes`, so that the unit of its boxes is unknown.
+    ModelError: nothing shows the unit of the boxes: the network lacks the input `orig_target_sizes`, and the number of
+    boxes of exporters that add a suppression.
     """
-    vectors = [i for i, shape in enumerate(network.shapes) if len(shape) == 2 and shape[0] == 1]
-    boxes = [i for i, shape in enumerate(network.shapes) if len(shape) == 3 and shape[0] == 1 and shape[2] == 4]
-    if len(network.shapes) != 3 or len(vectors) != 2 or len(boxes) != 1:
-        return None
-    labels = [i for i in vectors if network.is_integer[i]] or [i for i in vectors if "label" in network.names[i]]
-    n_boxes = network.shapes[boxes[0]][1]
-    if len(labels) != 1 or any(network.shapes[i][1] != n_boxes for i in vectors):
-        return None
-    if not network.has_target_sizes:
+    vectors = [i for i, shape in enumerate(network.shapes) if len(shape) == 2 and shape[0] == 1 and shape[1] != 1]
+    counts = [i for i, shape in enumerate(network.shapes) if shape in ((1,), (1, 1))]
+    boxes = [i for i, s in enumerate(network.shapes) if len(s) in (2, 3) and s[-1] in (4, 5) and s[:-2] in ((), (1,))]
+    flat = [i for i, shape in enumerate(network.shapes) if len(shape) == 1 and shape != (1,)]
+    boxes = [i for i in boxes if len(network.shapes[i]) == 3] or boxes
+    if not vectors and not flat and len(counts) == 2:  # one box
+        flat, counts = counts, []
+    vectors = vectors or flat
+    if len(boxes) != 1 or len(vectors) not in (1, 2) or len(network.shapes) - len(counts) != 1 + len(vectors):
+        return
+    labels = [i for i in vectors if network.is_integer[i]] or [
+        i for i in vectors if any(word in network.names[i].lower() for word in ("label", "class"))
+    ]
+    n_boxes, n_columns = network.shapes[boxes[0]][-2:]
+    if len(labels) != 1 or any(network.shapes[i][-1] != n_boxes for i in vectors) or n_columns + len(vectors) != 6:
+        return
+    layout, label = f"{n_boxes} labels, boxes and scores", (labels[0], None)
+    if n_columns == 5:
+        rows = LabelledBoxes((boxes[0], slice(0, 4)), (boxes[0], slice(4, 5)), label, corners())
+        yield replace(_labelled("MMDetection", "mmdet", layout, rows), input_format=_MMDET_INPUT)
+        return
+    (scores,) = (i for i in vectors if i != labels[0])
+    rows = LabelledBoxes((boxes[0], slice(0, 4)), (scores, None), label, corners())
+    if network.has_target_sizes:
+        text = f"{layout}, with {TARGET_SIZES}"
+        yield _square_model("D-FINE/DEIM/RT-DETR", "d-fine", text, None, rows.decode)
+    elif counts and not network.is_integer[labels[0]]:  # TensorFlow: top, left, bottom, right; labels from 1
+        rows = replace(rows, code=rows_first(network.input_wh), first_label=0 if network.n_names is None else 1)
+        model = _labelled("TensorFlow's detection API", "tf-detections", f"{layout}, corners as fractions", rows)
+        yield replace(model, n_classes=None if network.n_names else 91, input_format=_STRETCHED_INPUT)
+    elif counts:
+        for name, code in (("end2end", corners()), ("end2end-fractions", corners(network.input_wh))):
+            yield _labelled("YOLO with suppression", name, layout, replace(rows, code=code))
+    elif flat:  # labels from 1, or COCO's category ids
+        rows = replace(rows, first_label=0 if network.n_names is None else 1)
+        model = _labelled("torchvision", "torchvision", layout, rows)
+        yield replace(model, n_classes=None if network.n_names else 91, input_format=_STRETCHED_INPUT)
+    else:
         raise ModelError(
             f"{network.path}: expected the input {TARGET_SIZES} beside labels, boxes and scores, found none, so the "
             "unit of the boxes is unknown; export again with D-FINE's or DEIM's export_onnx.py."
         )
-    (scores,) = (i for i in vectors if i != labels[0])
-    layout = f"{n_boxes} labels, boxes and scores, with {TARGET_SIZES}"
-    decoder = partial(_decode_labelled_boxes, labels[0], boxes[0], scores)
-    return _square_model("D-FINE/DEIM/RT-DETR", layout, None, decoder)
 
 
-def logits_and_boxes(network: NetworkOutputs) -> YoloModel | None:
-    """Match of logits [1, N, K] and boxes [1, N, 4], in any order; masks and other outputs are ignored."""
+def logits_and_boxes(network: NetworkOutputs) -> Iterator[YoloModel]:
+    """Reading of logits [1, N, K] and boxes [1, N, 4], in any order; masks and other outputs are ignored.
+
+        score = sigmoid(logit_c)                          networks trained with focal loss
+        score = exp(logit_c) / sum over K of exp(logit)   DETR, whose last logit means "no object"
+
+    Each query gives its best class; RF-DETR's and RT-DETR's own postprocessing also returns further classes of the same
+    box with lower scores. Logits after the classes mean "no object".
+    """
     pair = _logits_and_boxes(network)
     if pair is None:
-        return None
+        return
     logits, boxes = pair
     n_boxes, n_logits = network.shapes[logits][1:]
     is_detr = n_logits == _N_CATEGORIES + 1
@@ -174,16 +233,21 @@ def logits_and_boxes(network: NetworkOutputs) -> YoloModel | None:
     n_classes = n_logits - has_no_object
     family = "RF-DETR" if is_rf_detr else "DETR" if is_detr else "RT-DETR/D-FINE"
     layout = f"logits {[1, n_boxes, n_logits]} and boxes of {n_boxes} queries"
-    decoder = partial(_decode_queries, logits, boxes, network.input_hw, n_classes, scores.value == "softmax")
+    rows = Rows(
+        boxes=Part(boxes),
+        scores=Part(logits),
+        code=centres(network.input_wh),
+        activation=scores.value,
+        classes=slice(0, n_classes),
+    )
+    model = _square_model(family, "detr", layout, n_classes, partial(decode_rows, [rows]))
     input_format = _IMAGENET_INPUT if is_rf_detr or has_category_ids else _STRETCHED_INPUT
-    model = _square_model(family, layout, n_classes, decoder)
-    return replace(model, input_format=input_format, attributes={"scores": scores})
+    yield replace(model, input_format=input_format, attributes={"scores": scores})
 
 
 def _logits_and_boxes(network: NetworkOutputs) -> tuple[int, int] | None:
     """Indices of logits and boxes: the only outputs [1, N, K] and [1, N, 4], or those of the usual names; else None."""
-    grids = {3 * network.n_cells(strides) for strides in ((16, 32), (8, 16, 32))}  # YOLOv4's boxes, 3 per cell
-    outputs = [i for i, n_rows, _ in network.matrices() if n_rows <= _MAX_BOXES and n_rows not in grids]
+    outputs = [i for i, n_rows, _ in network.matrices() if n_rows <= _MAX_BOXES and not network.is_grid(n_rows)]
     boxes = [i for i in outputs if network.shapes[i][2] == 4]
     if len(boxes) > 1:
         boxes = [i for i in boxes if any(word in network.names[i].lower() for word in ("box", "dets"))]
@@ -195,11 +259,11 @@ def _logits_and_boxes(network: NetworkOutputs) -> tuple[int, int] | None:
     return (logits[0], boxes[0]) if len(logits) == 1 else None
 
 
-def query_rows(network: NetworkOutputs) -> YoloModel | None:
-    """Match of [1, N, 4 + C]: boxes as fractions and class scores, for the C names in the metadata, else COCO's 80."""
+def query_rows(network: NetworkOutputs) -> Iterator[YoloModel]:
+    """Reading of [1, N, 4 + C]: boxes as fractions and class scores, for the C names in the metadata, else 80."""
     n_classes = network.n_names or 80
     for i, n_rows, n_columns in network.matrices():
-        if n_rows <= _MAX_BOXES and n_columns == 4 + n_classes:
+        if n_rows <= _MAX_BOXES and not network.is_grid(n_rows) and n_columns == 4 + n_classes:
             layout = f"rows {[1, n_rows, n_columns]}: box as fractions, classes"
-            return _square_model("RT-DETR", layout, n_classes, partial(_decode_query_rows, i, network.input_hw))
-    return None
+            rows = Rows(boxes=Part(i, slice(0, 4)), scores=Part(i, slice(4, None)), code=centres(network.input_wh))
+            yield _square_model("RT-DETR", "rt-detr-queries", layout, n_classes, partial(decode_rows, [rows]))

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from track_range.detection.models.metadata import Attribute, ModelMetadata
 from track_range.detection.yolo.decoders import Decoder
 from track_range.detection.yolo.input_format import InputFormat
+from track_range.foundation.arrays import FloatArray32
+
+STRIDES_PX = ((8, 16, 32), (8, 16, 32, 64), (4, 8, 16, 32), (16, 32))  # of the grids of all families
 
 
 @dataclass(frozen=True, slots=True)
 class YoloModel:
-    """Everything needed to run a detection network on images and decode its outputs.
+    """Everything needed to run a detection network on images and decode its outputs: one reading of the outputs.
 
-    The function of a layout returns the family's defaults; `identify_layout` adds the explicit attributes of the model.
+    The function of a layout returns the family's defaults; `readings_of` adds the explicit attributes of the model.
     """
 
     family: str  # name of the family, for display
@@ -28,6 +31,9 @@ class YoloModel:
     score_outputs: tuple[int, ...] = ()  # outputs that consist of class scores alone
     is_end_to_end: bool = False  # whether the network itself returns one box per object, without suppression
     is_square: bool = False  # whether an input of variable size has to be square, as it was in training
+    name: str = ""  # of the reading, for `--layout`
+    note: str = ""  # on what is ignored
+    accepts: Callable[[Sequence[FloatArray32]], bool] | None = None  # whether the outputs may have this meaning
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,10 +47,29 @@ class NetworkOutputs:
     is_integer: tuple[bool, ...]  # whether each output consists of integers
     has_target_sizes: bool  # whether the network has the input `orig_target_sizes`
     metadata: ModelMetadata
+    has_integer_input: bool = False  # whether the network takes pixels 0..255 as uint8
+
+    @property
+    def input_wh(self) -> tuple[float, float]:
+        """Width and height of the input, the unit of fractions."""
+        return float(self.input_hw[1]), float(self.input_hw[0])
 
     def n_cells(self, strides_px: Sequence[int]) -> int:
         """Total number of grid cells of the input at these strides."""
         return sum((self.input_hw[0] // stride) * (self.input_hw[1] // stride) for stride in strides_px)
+
+    def n_cells_rounded_up(self, strides_px: Sequence[int]) -> int:
+        """The same, for grids whose last cells may lie beyond the input."""
+        return sum(-(-self.input_hw[0] // stride) * -(-self.input_hw[1] // stride) for stride in strides_px)
+
+    def grid_strides(self, n: int, per_cell: int = 1, *, is_rounded_up: bool = False) -> tuple[int, ...] | None:
+        """Strides of the grids that have so many boxes in all, with `per_cell` boxes for each cell; None without."""
+        count = self.n_cells_rounded_up if is_rounded_up else self.n_cells
+        return next((strides for strides in STRIDES_PX if n == per_cell * count(strides)), None)
+
+    def is_grid(self, n_rows: int) -> bool:
+        """Whether so many boxes are those of grids, with one or three for each cell."""
+        return self.grid_strides(n_rows) is not None or self.grid_strides(n_rows, 3) is not None
 
     def matrices(self) -> Iterator[tuple[int, int, int]]:
         """Index, rows and columns of each output [1, rows, columns]; older YOLOv5 exports also have raw grids."""
@@ -57,3 +82,12 @@ class NetworkOutputs:
         """Number of explicit class names; None without names."""
         names = self.metadata.get("names", None, "").value
         return None if names is None else len(names)
+
+    @property
+    def n_keypoints(self) -> int:
+        """Number of values of a box's keypoints, from Ultralytics' metadata; 0 without."""
+        shape: tuple[int, ...] = self.metadata.get("kpt_shape", (0,), "").value
+        product = 1
+        for length in shape:
+            product *= length
+        return product

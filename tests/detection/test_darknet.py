@@ -170,7 +170,7 @@ def test_metadata_of_imported_file(tmp_path):
     }
     detector = YoloDetector(tmp_path / "net.onnx")
     assert (detector.model.family, detector.model.names) == ("yolov4-tiny", ("person", "bicycle"))
-    assert [head.scale_x_y for head in detector.model.decoder.args[0]] == [1.05, 1.05]
+    assert detector.model.attributes["scale_x_y"].value == (1.05, 1.05)
     detections = detector.detect(np.random.default_rng(0).integers(0, 255, (100, 200, 3)).astype(np.uint8))
     assert len(detections) > 0  # random weights give detections everywhere
     assert set(detections.class_id) <= {0, 1}

@@ -303,7 +303,6 @@ IMAGE_INPUT = {"image": (1, 3, 64, 64)}
         (LABELS, {"images": (32, 3, 64, 64), "orig_target_sizes": (32, 2)}, "batch size 1"),
         (ROWS, {**IMAGE_INPUT, "im_shape": (1, 2), "scale_factor": (1, 2)}, "without other inputs"),
         (ROWS, {"pixel_values": (1, 3, 64, 64), "pixel_mask": (1, 64)}, "without other inputs"),
-        (ROWS, IMAGE_INPUT, "without it"),
         ({"logits": np.zeros((1, 30, 80))}, IMAGE_INPUT, "RF-DETR"),
         ({"boxes": np.zeros((1, 30, 4)), "logits": np.zeros((1, 31, 80))}, IMAGE_INPUT, "RF-DETR"),
         ({"dets": np.zeros((1, 30, 4)), "labels": np.zeros((1, 30, 17))}, IMAGE_INPUT, "17 classes"),

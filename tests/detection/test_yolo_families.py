@@ -48,7 +48,7 @@ def test_all_layouts_are_identified(tmp_path):
 @pytest.mark.parametrize(
     "shapes",
     [
-        [(1, 83, 85)],
+        [(1, 83, 86)],
         [(1, 3 * CELLS)],
         [(1, 3 * CELLS, 5)],
         [(1, 2000, 6)],

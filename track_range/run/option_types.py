@@ -23,6 +23,7 @@ class PipelineKeywords(TypedDict, total=False):
     names: str | Path | Sequence[str] | None
     anchors: str | None
     letterbox: str | None
+    layout: str | None
     size: int | None
     size_px: int | None
     threads: int | None

@@ -12,6 +12,7 @@ from track_range.foundation.options import Options, option
 from track_range.run.options.detection import (
     AnchorsField,
     DeviceField,
+    LayoutField,
     LetterboxField,
     NamesField,
     ReidField,
@@ -178,6 +179,7 @@ class DetectionEvaluationSettings(Options):
     names: NamesField = None
     anchors: AnchorsField = None
     letterbox: LetterboxField = None
+    layout: LayoutField = None
     size_px: SizeField = None
     threads: ThreadsField = 0
     device: DeviceField = "auto"

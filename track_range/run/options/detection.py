@@ -40,6 +40,14 @@ AnchorsField = Annotated[
 LetterboxField = Annotated[
     str | None, option(f"{LETTERBOX_HELP} (default: that of the network family).", metavar="NAME")
 ]
+LayoutField = Annotated[
+    str | None,
+    option(
+        "Name of the layout of the network's outputs, such as yolov8; see docs/detectors.md (default: by their shapes "
+        "and values).",
+        metavar="NAME",
+    ),
+]
 SizeField = Annotated[
     int | None,
     option(
@@ -127,6 +135,7 @@ class DetectionOptions(Options):
     names: NamesField = None
     anchors: AnchorsField = None
     letterbox: LetterboxField = None
+    layout: LayoutField = None
     size_px: SizeField = None
     threads: ThreadsField = 0
     device: DeviceField = "auto"

@@ -28,6 +28,7 @@ class DetectorOptions:
     names: str | None = None
     anchors: str | None = None
     letterbox: str | None = None
+    layout: str | None = None
     min_score: str | None = None
     size_px: int | None = None
     threads: int = 0
@@ -53,7 +54,9 @@ def open_detector(path: Path, options: DetectorOptions, *, lowest_score: float |
         class_id=tuple(int(i) for i in road_class_ids(options.classes)),
         size_px=options.size_px,
     )
-    model_options = ModelOptions(names=class_names(options.names), anchors=options.anchors, letterbox=options.letterbox)
+    model_options = ModelOptions(
+        names=class_names(options.names), anchors=options.anchors, letterbox=options.letterbox, layout=options.layout
+    )
     runtime = Runtime(device=options.device, n_threads=options.threads, engine_folder=_engine_folder(options.device))
     return YoloDetector(path, settings, options=model_options, runtime=runtime)
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import chain
+from pathlib import Path
 from typing import Annotated, Any
 
+import cv2
 from rich import box
 from rich.table import Table
 from rich.text import Text
@@ -13,12 +15,18 @@ from rich.text import Text
 from track_range.cli.console import console
 from track_range.cli.parameters import command
 from track_range.detection.box_errors import UNKNOWN_DETECTOR
-from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.classes import ROAD_CLASSES, class_counts
 from track_range.detection.models.lookup import ModelLocation, find_model
 from track_range.detection.yolo.detector import YoloDetector
+from track_range.detection.yolo.first_images import N_IMAGES
+from track_range.foundation.errors import ConfigError
+from track_range.foundation.files.atomic_files import describe, write_bytes
+from track_range.foundation.files.images import read_image
 from track_range.foundation.options import Options, option
-from track_range.run.options.detection import AnchorsField, LetterboxField, NamesField
+from track_range.pipeline.colours import track_colour
+from track_range.run.options.detection import AnchorsField, LayoutField, LetterboxField, NamesField
 from track_range.run.options.opened import DetectorOptions, open_detector
+from track_range.views.overlay.annotator import draw_box
 
 _ABOUT = ("data", "date", "epochs", "licence", "license")  # metadata on the origin of a model
 _IDENTITY = {"mean": (0.0, 0.0, 0.0), "std": (1.0, 1.0, 1.0)}  # values without effect, not shown
@@ -33,6 +41,14 @@ class InfoOptions(Options):
     names: NamesField = None
     anchors: AnchorsField = None
     letterbox: LetterboxField = None
+    layout: LayoutField = None
+    image: Annotated[
+        Path | None, option("Image on which the layout is checked; its boxes are drawn into --out.", metavar="FILE")
+    ] = None
+    out: Annotated[
+        Path | None,
+        option("Picture of the boxes, PNG (default: IMAGE-boxes.png in the current folder).", metavar="FILE"),
+    ] = None
 
 
 def _info(options: InfoOptions) -> None:
@@ -43,9 +59,36 @@ def _info(options: InfoOptions) -> None:
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")
     table.add_column(style="dim", overflow="fold")
-    for row in chain(_rows(open_detector(model.path, detector)) if is_local else (), _entry_rows(model)):
+    rows: list[tuple[str, str, str]] = []
+    if is_local:
+        network = open_detector(model.path, detector)
+        rows = [*_rows_on_image(network, options.image, options.out), *_rows(network)]
+    for row in chain(rows, _entry_rows(model)):
         table.add_row(*(Text(text) for text in row))
     console.print(table)
+
+
+def _rows_on_image(detector: YoloDetector, path: Path | None, out: Path | None) -> list[tuple[str, str, str]]:
+    """Rows on the boxes in an image, which are drawn into `out`; ConfigError if a file cannot be read or written."""
+    if path is None:
+        return []
+    image = read_image(path, ConfigError)
+    for _ in range(N_IMAGES):  # as on the first images of a video
+        boxes = detector.detect(image)
+    for i, xyxy_px in enumerate(boxes.xyxy_px):
+        colour = track_colour(int(boxes.class_id[i]))
+        draw_box(image, xyxy_px, bgr=colour, line_px=2, dashed=False)
+        text = f"{ROAD_CLASSES[boxes.class_id[i]]} {boxes.score[i]:.2f}"
+        place = (int(xyxy_px[0]) + 2, max(int(xyxy_px[1]) - 4, 10))
+        cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.45, colour, 1, cv2.LINE_AA)
+    picture = out or Path(f"{path.stem}-boxes.png")
+    if picture.suffix.lower() != ".png":
+        raise ConfigError(f"{picture}: expected a PNG file for --out.")
+    try:
+        write_bytes(picture, cv2.imencode(".png", image)[1].tobytes())
+    except OSError as error:
+        raise ConfigError(f"{picture}: cannot be written ({describe(error)}).") from error
+    return [("boxes", f"{class_counts(boxes.class_id)}, drawn into {picture}", f"in {path.name}")]
 
 
 def _entry_rows(model: ModelLocation) -> Iterator[tuple[str, str, str]]:
@@ -67,7 +110,12 @@ def _rows(detector: YoloDetector) -> Iterator[tuple[str, str, str]]:
     session, model = detector.session, detector.model
     family = model.attributes["family"]
     yield "family", model.family, family.source
-    yield "outputs", model.layout, ""
+    yield "layout", f"{model.name}: {model.layout}", detector.why
+    others = [reading.name for reading in detector.readings if reading.name != model.name]
+    if others:
+        yield "other layouts of these shapes", ", ".join(others), "--layout; --image compares their boxes"
+    if model.note:
+        yield "ignored", model.note, ""
     shape = ", ".join("any" if side is None else str(side) for side in session.input_shape)
     is_variable = None in session.input_shape[2:]
     source = "variable size: set by --size and the aspect ratio of the video" if is_variable else ""

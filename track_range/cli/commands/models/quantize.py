@@ -29,7 +29,14 @@ from track_range.evaluation.sequences.settings import LabelFormatField, LabelNam
 from track_range.foundation.arrays import Image
 from track_range.foundation.files.output_files import make_folder, write_json
 from track_range.foundation.options import Options, option
-from track_range.run.options.detection import AnchorsField, LetterboxField, NamesField, SizeField, ThreadsField
+from track_range.run.options.detection import (
+    AnchorsField,
+    LayoutField,
+    LetterboxField,
+    NamesField,
+    SizeField,
+    ThreadsField,
+)
 from track_range.run.options.opened import DetectorOptions, open_detector
 from track_range.run.progress import frame_progress
 from track_range.run.ready_model import ready_model
@@ -88,6 +95,7 @@ class QuantizeOptions(Options):
     names: NamesField = None
     anchors: AnchorsField = None
     letterbox: LetterboxField = None
+    layout: LayoutField = None
     size_px: SizeField = None
     threads: ThreadsField = 0
     json_file: Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")] = None
