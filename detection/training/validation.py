@@ -12,7 +12,7 @@ from track_range.detection.detections import Detections
 from track_range.detection.evaluation import DetectionScores, evaluate_detections
 from track_range.detection.formats.image_labels.image_truth import ImageTruth
 from track_range.detection.training.networks.network import DetectionNetwork
-from track_range.detection.yolo.decoders import Part, Rows, centres, decode_rows
+from track_range.detection.yolo.decoders import BoxRows, Part, centres, decode_rows
 from track_range.detection.yolo.detector import suppressed
 from track_range.detection.yolo.input_format import InputFormat
 from track_range.detection.yolo.letterbox import Letterbox, rectangular_input_hw
@@ -40,7 +40,7 @@ class NetworkDetector:
         self._min_score = np.full(len(road_class_id), LOWEST_SCORE)
         columns = slice(0, 4), slice(5, None), slice(4, 5)
         boxes, scores, objectness = (Part(0, column) for column in columns)
-        self._rows = Rows(boxes=boxes, scores=scores, objectness=objectness, code=centres())
+        self._rows = BoxRows(boxes=boxes, scores=scores, objectness=objectness, code=centres())
 
     def detect(self, image: Image) -> Detections:
         """The road users in `image`, (H, W, 3) uint8 BGR, in order of decreasing score."""

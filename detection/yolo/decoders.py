@@ -107,7 +107,7 @@ class Part:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Rows:
+class BoxRows:
     """N boxes in the outputs. score = activation(objectness) * activation(class score); 1 without objectness."""
 
     boxes: Part
@@ -121,7 +121,7 @@ class Rows:
     cell_px: FloatArray | None = None  # (N, 2) centres of the grid cells
 
 
-def decode_rows(levels: Sequence[Rows], outputs: Sequence[FloatArray32], min_score: FloatArray) -> Candidates:
+def decode_rows(levels: Sequence[BoxRows], outputs: Sequence[FloatArray32], min_score: FloatArray) -> Candidates:
     """Candidates of all levels, for each the rows of one grid."""
     boxes, scores, cells = [], [], []
     lowest = float(min_score.min())
@@ -148,7 +148,7 @@ def _activated(values: FloatArray32, activation: Activation) -> FloatArray | Flo
 
 
 @dataclass(frozen=True, slots=True)
-class Cells:
+class GridCells:
     """The grid cells of N boxes: grid by grid, in each anchor by anchor, row by row."""
 
     column_row: FloatArray  # (N, 2)
@@ -157,7 +157,7 @@ class Cells:
     @classmethod
     def of(
         cls, input_hw: tuple[int, int], strides_px: Sequence[int], n_anchors: int = 1, *, is_rounded_up: bool = False
-    ) -> Cells:
+    ) -> GridCells:
         """The cells of an input of this size; without `is_rounded_up`, all strides divide it."""
         cells, strides = [np.zeros((0, 2))], [np.zeros((0, 2))]
         for s in strides_px:
@@ -168,7 +168,7 @@ class Cells:
         return cls(np.concatenate(cells), np.concatenate(strides))
 
     @classmethod
-    def of_grid(cls, input_hw: tuple[int, int], grid_hw: Sequence[int], n_anchors: int = 1) -> Cells:
+    def of_grid(cls, input_hw: tuple[int, int], grid_hw: Sequence[int], n_anchors: int = 1) -> GridCells:
         """The cells of one grid of h rows and w columns."""
         (height, width), (h, w) = input_hw, grid_hw
         cells = np.stack(np.meshgrid(np.arange(w), np.arange(h)), axis=-1).reshape(-1, 2).astype(np.float64)
@@ -197,7 +197,7 @@ def centres(unit_xy: tuple[float, float] = (1.0, 1.0)) -> BoxCode:
     return lambda numbers, _: xyxy_from_cxcywh(numbers * scale)
 
 
-def cell_offsets(cells: Cells) -> BoxCode:
+def cell_offsets(cells: GridCells) -> BoxCode:
     """YOLOX's offset from the cell in cells, log size in strides (Ge et al., "YOLOX", 2021).
 
     centre = (xy + cell) * stride        size = exp(wh) * stride
@@ -238,7 +238,7 @@ def binned_distances(
 
 
 def anchored(
-    cells: Cells, anchors_px: FloatArray, *, scale_x_y: float = 2.0, size: Literal["exp", "square"], is_logit: bool
+    cells: GridCells, anchors_px: FloatArray, *, scale_x_y: float = 2.0, size: Literal["exp", "square"], is_logit: bool
 ) -> BoxCode:
     """Offsets and sizes relative to A anchors (A, 2) of the cells of one grid.
 

@@ -32,9 +32,9 @@ from track_range.detection.models.metadata import Anchors
 from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.yolo.decoders import (
     BoxCode,
-    Cells,
+    BoxRows,
+    GridCells,
     Part,
-    Rows,
     anchored,
     binned_distances,
     cell_offsets,
@@ -81,12 +81,12 @@ _PICODET = replace(_STRETCHED, mean=IMAGENET_MEAN, std=IMAGENET_STD)
 _RTMDET = replace(_NANODET, placement="top-left", pad_grey=114)
 _SSD = replace(_STRETCHED, divisor=128.0, mean=(127 / 128,) * 3)  # qfgaohao's pytorch-ssd
 
-_Code = Callable[[NetworkOutputs, Cells], BoxCode]
+_Code = Callable[[NetworkOutputs, GridCells], BoxCode]
 _Accepts = Callable[[Sequence[FloatArray32]], bool]
 
 
 def _binned(n_bins: int, offset: float = 0.5, *, is_clipped: bool = False) -> _Code:
-    def code(network: NetworkOutputs, cells: Cells) -> BoxCode:
+    def code(network: NetworkOutputs, cells: GridCells) -> BoxCode:
         limit_hw = network.input_hw if is_clipped else None
         return binned_distances(cells.points_px(offset), cells.stride_px, n_bins, limit_hw)
 
@@ -166,10 +166,10 @@ def grid_boxes(network: NetworkOutputs) -> Iterator[YoloModel]:
             if strides is None or len(strides) not in kind.n_levels or width <= kind.n_box + kind.has_objectness:
                 continue
             n_classes, note = (width - 32, "") if is_binned else _n_classes(network, width - first)
-            cells = Cells.of(network.input_hw, strides, kind.n_anchors, is_rounded_up=is_binned)
+            cells = GridCells.of(network.input_hw, strides, kind.n_anchors, is_rounded_up=is_binned)
             part = partial(Part, i, n_anchors=int(kind.is_transposed))
             for name, family, code, form in kind.readings:
-                rows = Rows(
+                rows = BoxRows(
                     boxes=part(slice(n_classes, None) if is_binned else slice(0, 4)),
                     objectness=part(slice(4, 5)) if kind.has_objectness else None,
                     scores=part(slice(first, first + n_classes)),
@@ -196,7 +196,9 @@ def _has_constant_objectness(output: int, expected: bool, outputs: Sequence[Floa
     return bool((outputs[output][0, :, 4] > 0.999).all()) == expected
 
 
-def _model(family: str, name: str, layout: str, n_classes: int, form: InputFormat, levels: Sequence[Rows]) -> YoloModel:
+def _model(
+    family: str, name: str, layout: str, n_classes: int, form: InputFormat, levels: Sequence[BoxRows]
+) -> YoloModel:
     return YoloModel(family, layout, n_classes, form, partial(decode_rows, levels), name=name)
 
 
@@ -226,7 +228,7 @@ def levels_apart(network: NetworkOutputs) -> Iterator[YoloModel]:
         ((name, family, code, form),) = kind.readings
         levels = []
         for stride in STRIDES_PX[n_levels - 3]:
-            cells = Cells.of(network.input_hw, (stride,), is_rounded_up=True)
+            cells = GridCells.of(network.input_hw, (stride,), is_rounded_up=True)
             of_stride = [
                 i for i, s in enumerate(shapes) if (s[1] if n_dimensions == 3 else s[2] * s[3]) == len(cells.stride_px)
             ]
@@ -235,7 +237,7 @@ def levels_apart(network: NetworkOutputs) -> Iterator[YoloModel]:
                 boxes, scores, objectness = parts
                 code_of = _CODES[code](network, cells)
                 levels.append(
-                    Rows(boxes=boxes, scores=scores, objectness=objectness, code=code_of, cell_px=cells.points_px())
+                    BoxRows(boxes=boxes, scores=scores, objectness=objectness, code=code_of, cell_px=cells.points_px())
                 )
         if len(levels) != n_levels or not n_levels <= len(shapes) <= n_levels * 3:
             continue
@@ -305,14 +307,14 @@ def boxes_and_scores(network: NetworkOutputs) -> Iterator[YoloModel]:
         is_transposed = score[1] != n_rows
         n_columns = score[1] if is_transposed else score[2]
         strides = network.grid_strides(n_rows)
-        cells = Cells.of(network.input_hw, strides or ())
+        cells = GridCells.of(network.input_hw, strides or ())
         part = Part(scores, n_anchors=int(is_transposed))
         is_tiny = n_rows == _ANCHORS_PER_CELL * network.n_cells((16, 32))
         has_background = n_columns - 1 in (network.n_names, *(() if network.n_names else (80, 20)))
         for name, family, code, form in _SSD_PAIRS if has_background else _PAIRS:
             is_last = name.endswith("-last")
             kept, other = (slice(0, -1), slice(-1, None)) if is_last else (slice(1, None), slice(0, 1))
-            rows = Rows(
+            rows = BoxRows(
                 boxes=Part(boxes),
                 scores=part,
                 code=_CODES[code](network, cells),
@@ -372,11 +374,11 @@ def anchor_heads(network: NetworkOutputs) -> Iterator[YoloModel]:
         levels = []
         for i, (shape, anchor) in enumerate(zip(shapes, used["anchors"].value, strict=True)):
             size: Literal["exp", "square"] = "exp" if is_darknet else "square"
-            cells = Cells.of_grid(network.input_hw, shape[2:4], n_anchors)
+            cells = GridCells.of_grid(network.input_hw, shape[2:4], n_anchors)
             code = anchored(cells, np.array(anchor), scale_x_y=scale[i % len(scale)], size=size, is_logit=True)
             part = partial(Part, i, n_anchors=0 if is_separate else n_anchors)
             boxes, objectness, classes = part(slice(0, 4)), part(slice(4, 5)), part(slice(5, None))
-            rows = Rows(boxes=boxes, objectness=objectness, scores=classes, code=code, cell_px=cells.points_px())
+            rows = BoxRows(boxes=boxes, objectness=objectness, scores=classes, code=code, cell_px=cells.points_px())
             levels.append(replace(rows, activation="sigmoid"))
         layout = f"raw heads {', '.join(str(list(shape)) for shape in shapes)}: {n_anchors} anchors per cell"
         yield replace(_model(family, name, layout, n_columns - 5, form, levels), attributes=used)
@@ -393,9 +395,9 @@ def fastest_heads(network: NetworkOutputs) -> Iterator[YoloModel]:
     anchors = network.metadata.get("anchors", usual, "default of Yolo-FastestV2")
     levels = []
     for i, k in np.ndindex(2, n):
-        cells = Cells.of_grid(network.input_hw, shapes[i][1:3])
+        cells = GridCells.of_grid(network.input_hw, shapes[i][1:3])
         levels.append(
-            Rows(
+            BoxRows(
                 boxes=Part(i, slice(4 * k, 4 * k + 4)),
                 objectness=Part(i, slice(4 * n + k, 4 * n + k + 1)),
                 scores=Part(i, slice(5 * n, None)),

@@ -30,10 +30,10 @@ from track_range.detection.models.metadata import RT_DETR_DESCRIPTION
 from track_range.detection.models.onnx_session import TARGET_SIZES, ModelError
 from track_range.detection.yolo.decoders import (
     BoxCode,
+    BoxRows,
     Candidates,
     Decoder,
     Part,
-    Rows,
     centres,
     corners,
     decode_rows,
@@ -233,7 +233,7 @@ def logits_and_boxes(network: NetworkOutputs) -> Iterator[YoloModel]:
     n_classes = n_logits - has_no_object
     family = "RF-DETR" if is_rf_detr else "DETR" if is_detr else "RT-DETR/D-FINE"
     layout = f"logits {[1, n_boxes, n_logits]} and boxes of {n_boxes} queries"
-    rows = Rows(
+    rows = BoxRows(
         boxes=Part(boxes),
         scores=Part(logits),
         code=centres(network.input_wh),
@@ -265,5 +265,5 @@ def query_rows(network: NetworkOutputs) -> Iterator[YoloModel]:
     for i, n_rows, n_columns in network.matrices():
         if n_rows <= _MAX_BOXES and not network.is_grid(n_rows) and n_columns == 4 + n_classes:
             layout = f"rows {[1, n_rows, n_columns]}: box as fractions, classes"
-            rows = Rows(boxes=Part(i, slice(0, 4)), scores=Part(i, slice(4, None)), code=centres(network.input_wh))
+            rows = BoxRows(boxes=Part(i, slice(0, 4)), scores=Part(i, slice(4, None)), code=centres(network.input_wh))
             yield _square_model("RT-DETR", "rt-detr-queries", layout, n_classes, partial(decode_rows, [rows]))

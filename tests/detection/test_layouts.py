@@ -94,9 +94,7 @@ def test_ambiguous_heads_are_refused(tmp_path):
     assert {reading.name for reading in detector.readings} == {"darknet-heads", "yolov5-heads"}
     for _ in range(9):
         assert len(detector.detect(IMAGE)) >= 4
-    with pytest.raises(
-        ModelError, match=r"as (darknet|yolov5)-heads or (darknet|yolov5)-heads, .*--layout"
-    ):
+    with pytest.raises(ModelError, match=r"as (darknet|yolov5)-heads or (darknet|yolov5)-heads, .*--layout"):
         detector.detect(IMAGE)
 
 
