@@ -28,17 +28,8 @@ import numpy as np
 
 from track_range.detection.models.metadata import RT_DETR_DESCRIPTION
 from track_range.detection.models.onnx_session import TARGET_SIZES, ModelError
-from track_range.detection.yolo.decoders import (
-    BoxCode,
-    BoxRows,
-    Candidates,
-    Decoder,
-    Part,
-    centres,
-    corners,
-    decode_rows,
-    rows_first,
-)
+from track_range.detection.yolo import decoders
+from track_range.detection.yolo.decoders import Candidates, Decoder, Part, corners
 from track_range.detection.yolo.input_format import IMAGENET_MEAN, IMAGENET_STD, InputFormat
 from track_range.detection.yolo.network_outputs import NetworkOutputs, YoloModel
 from track_range.foundation.arrays import FloatArray, FloatArray32
@@ -69,7 +60,7 @@ class LabelledBoxes:
     boxes: Place
     score: Place
     label: Place
-    code: BoxCode
+    code: decoders.BoxCode
     first_label: int = 0  # number of the first class; 1 = label 0 is the background
 
     def decode(self, outputs: Sequence[FloatArray32], min_score: FloatArray) -> Candidates:
@@ -91,7 +82,7 @@ def _numbers(outputs: Sequence[FloatArray32], place: Place) -> FloatArray:
     return array.reshape(-1) if columns is None else array.reshape(-1, array.shape[-1])[:, columns]
 
 
-def _rows_of(output: int, box: int, score: int, label: int, code: BoxCode) -> LabelledBoxes:
+def _rows_of(output: int, box: int, score: int, label: int, code: decoders.BoxCode) -> LabelledBoxes:
     """Boxes in rows of one output, with the first column of the box, and those of score and label."""
     columns = (slice(box, box + 4), slice(score, score + 1), slice(label, label + 1))
     boxes, scores, labels = ((output, column) for column in columns)
@@ -150,7 +141,7 @@ def labelled_query_rows(network: NetworkOutputs) -> Iterator[YoloModel]:
     for i, n_rows, n_columns in network.matrices():
         if n_columns == 6 and n_rows <= _MAX_BOXES:
             layout = f"rows {[1, n_rows, n_columns]}: box as fractions, score, label"
-            decoder = _rows_of(i, 0, 4, 5, centres(network.input_wh)).decode
+            decoder = _rows_of(i, 0, 4, 5, decoders.centres(network.input_wh)).decode
             yield _square_model("RT-DETR", "rt-detr-rows", layout, None, decoder)
 
 
@@ -193,7 +184,9 @@ def labels_boxes_scores(network: NetworkOutputs) -> Iterator[YoloModel]:
         text = f"{layout}, with {TARGET_SIZES}"
         yield _square_model("D-FINE/DEIM/RT-DETR", "d-fine", text, None, rows.decode)
     elif counts and not network.is_integer[labels[0]]:  # TensorFlow: top, left, bottom, right; labels from 1
-        rows = replace(rows, code=rows_first(network.input_wh), first_label=0 if network.n_names is None else 1)
+        rows = replace(
+            rows, code=decoders.rows_first(network.input_wh), first_label=0 if network.n_names is None else 1
+        )
         model = _labelled("TensorFlow's detection API", "tf-detections", f"{layout}, corners as fractions", rows)
         yield replace(model, n_classes=None if network.n_names else 91, input_format=_STRETCHED_INPUT)
     elif counts:
@@ -233,14 +226,14 @@ def logits_and_boxes(network: NetworkOutputs) -> Iterator[YoloModel]:
     n_classes = n_logits - has_no_object
     family = "RF-DETR" if is_rf_detr else "DETR" if is_detr else "RT-DETR/D-FINE"
     layout = f"logits {[1, n_boxes, n_logits]} and boxes of {n_boxes} queries"
-    rows = BoxRows(
+    rows = decoders.BoxRows(
         boxes=Part(boxes),
         scores=Part(logits),
-        code=centres(network.input_wh),
+        code=decoders.centres(network.input_wh),
         activation=scores.value,
         classes=slice(0, n_classes),
     )
-    model = _square_model(family, "detr", layout, n_classes, partial(decode_rows, [rows]))
+    model = _square_model(family, "detr", layout, n_classes, partial(decoders.decode_rows, [rows]))
     input_format = _IMAGENET_INPUT if is_rf_detr or has_category_ids else _STRETCHED_INPUT
     yield replace(model, input_format=input_format, attributes={"scores": scores})
 
@@ -265,5 +258,7 @@ def query_rows(network: NetworkOutputs) -> Iterator[YoloModel]:
     for i, n_rows, n_columns in network.matrices():
         if n_rows <= _MAX_BOXES and not network.is_grid(n_rows) and n_columns == 4 + n_classes:
             layout = f"rows {[1, n_rows, n_columns]}: box as fractions, classes"
-            rows = BoxRows(boxes=Part(i, slice(0, 4)), scores=Part(i, slice(4, None)), code=centres(network.input_wh))
-            yield _square_model("RT-DETR", "rt-detr-queries", layout, n_classes, partial(decode_rows, [rows]))
+            rows = decoders.BoxRows(
+                boxes=Part(i, slice(0, 4)), scores=Part(i, slice(4, None)), code=decoders.centres(network.input_wh)
+            )
+            yield _square_model("RT-DETR", "rt-detr-queries", layout, n_classes, partial(decoders.decode_rows, [rows]))

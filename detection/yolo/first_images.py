@@ -73,8 +73,8 @@ class FirstImages:
         for reading, values in zip(readings, outputs, strict=True):
             tally = self._tallies.setdefault(reading.name, _Tally())
             tally.is_possible &= reading.accepts is None or reading.accepts(values)
-            boxes, quality = _quality(_candidates(reading, values), input_hw)
-            tally.n += len(boxes)
+            quality = _quality(_candidates(reading, values), input_hw)
+            tally.n += len(quality)
             tally.quality += float(quality.sum())
         possible = [reading for reading in readings if self._tallies[reading.name].is_possible]
         ranked = sorted(possible or readings, key=lambda reading: -self._tallies[reading.name].mean)
@@ -132,27 +132,17 @@ def _are_inside(xyxy_net: FloatArray, input_hw: tuple[int, int]) -> BoolArray:
     return np.asarray((is_inside & (size >= _MIN_SIZE_PX)).all(axis=1))
 
 
-def _quality(candidates: Candidates, input_hw: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
-    """Boxes (N, 4) after suppression, and (M,) quality from 0 to 1 of them and of the invalid ones, M >= N."""
+def _quality(candidates: Candidates, input_hw: tuple[int, int]) -> FloatArray:
+    """(M,) quality from 0 to 1 of the boxes after suppression, and of the invalid ones."""
     boxes, one_class = candidates.xyxy_net, np.zeros(len(candidates.score), np.int64)
     kept = nms(boxes, candidates.score, one_class, max_iou=0.5, max_boxes=_MAX_COMPARED)
     best, size = boxes[kept], boxes[kept, 2:] - boxes[kept, :2]
-    quality = _are_inside(best, input_hw) & (size.prod(axis=1) < _FILLING * input_hw[0] * input_hw[1])
-    quality = quality.astype(np.float64)
+    is_right = _are_inside(best, input_hw) & (size.prod(axis=1) < _FILLING * input_hw[0] * input_hw[1])
     offset = np.abs((best[:, :2] + best[:, 2:]) / 2 - candidates.cell_px[kept]) / np.maximum(size, _MIN_SIZE_PX)
-    quality *= np.nan_to_num(1 - np.clip(offset.max(axis=1, initial=0.0), 0, 1), nan=1.0)
-    if len(boxes) > len(best):
-        quality *= _agreement(best, boxes)
-    n_invalid = min(candidates.n_invalid, _MAX_COMPARED)
-    padded = np.concatenate([best, np.zeros((n_invalid, 4))])
-    return padded, np.concatenate([quality, np.zeros(n_invalid)])
-
-
-def _agreement(best: FloatArray, boxes: FloatArray) -> FloatArray:
-    """(N,) from 0 to 1: 1 where the boxes that overlap a best one (N, 4) have its size."""
+    nearness = np.nan_to_num(1 - np.clip(offset.max(axis=1, initial=0.0), 0, 1), nan=1.0)
     overlaps = iou(best, boxes) > 0.3
-    log_size = np.log(np.maximum(boxes[:, 2:] - boxes[:, :2], _MIN_SIZE_PX))
-    log_best = np.log(np.maximum(best[:, 2:] - best[:, :2], _MIN_SIZE_PX))
+    log_size, log_best = (np.log(np.maximum(b[:, 2:] - b[:, :2], _MIN_SIZE_PX)) for b in (boxes, best))
     differences = np.abs(log_size[None] - log_best[:, None]).mean(axis=2)
-    mean = (differences * overlaps).sum(axis=1) / np.maximum(overlaps.sum(axis=1), 1)
-    return np.asarray(1 - np.minimum(mean / _LOG_SIZE_SIGMA, 1))
+    difference = (differences * overlaps).sum(axis=1) / np.maximum(overlaps.sum(axis=1), 1)
+    agreement = 1 - np.minimum(difference / _LOG_SIZE_SIGMA, 1)
+    return np.concatenate([is_right * nearness * agreement, np.zeros(min(candidates.n_invalid, _MAX_COMPARED))])

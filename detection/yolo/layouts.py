@@ -15,20 +15,7 @@ from track_range.detection.box_errors import COCO_BOX_ERRORS
 from track_range.detection.classes import COCO_CATEGORIES, COCO_CLASSES, VOC_CLASSES
 from track_range.detection.models.metadata import Attribute, ModelMetadata
 from track_range.detection.models.onnx_session import ModelError
-from track_range.detection.yolo.dense_layouts import (
-    anchor_heads,
-    boxes_and_scores,
-    fastest_heads,
-    grid_boxes,
-    levels_apart,
-)
-from track_range.detection.yolo.end_to_end import (
-    labelled_query_rows,
-    labelled_rows,
-    labels_boxes_scores,
-    logits_and_boxes,
-    query_rows,
-)
+from track_range.detection.yolo import dense_layouts, end_to_end
 from track_range.detection.yolo.input_format import placement_and_grey
 from track_range.detection.yolo.network_outputs import NetworkOutputs, YoloModel
 from track_range.foundation.files.input_files import quoted, shortened
@@ -47,16 +34,20 @@ _LEVEL_NAMES = " ".join(
 _PAIR_NAMES = "yolov4-boxes yolo-nas boxes-centres boxes-centres-fractions ssd ssd-last ssd-pixels ssd-pixels-last"
 
 DETECTOR_LAYOUTS: tuple[tuple[str, Callable[[NetworkOutputs], Iterator[YoloModel]], str], ...] = (
-    ("RF-DETR", logits_and_boxes, "detr"),
-    ("D-FINE/DEIM", labels_boxes_scores, "d-fine end2end end2end-fractions mmdet torchvision tf-detections"),
-    ("YOLOv4, YOLO-NAS, SSD", boxes_and_scores, _PAIR_NAMES),
-    ("YOLOv5 to v8, YOLOX", grid_boxes, _GRID_NAMES),
-    ("NanoDet, PicoDet, RTMDet", levels_apart, f"picodet nanodet-levels {_LEVEL_NAMES}"),
-    ("RT-DETR", labelled_query_rows, "rt-detr-rows"),
-    ("YOLOv10", labelled_rows, "yolov10 yolov10-fractions paddle-rows yolov7-end2end yolo-nas-flat ssd-detections"),
-    ("RT-DETR", query_rows, "rt-detr-queries"),
-    ("Yolo-FastestV2", fastest_heads, "yolo-fastestv2"),
-    ("Darknet", anchor_heads, "darknet-heads yolov5-heads"),
+    ("RF-DETR", end_to_end.logits_and_boxes, "detr"),
+    ("D-FINE/DEIM", end_to_end.labels_boxes_scores, "d-fine end2end end2end-fractions mmdet torchvision tf-detections"),
+    ("YOLOv4, YOLO-NAS, SSD", dense_layouts.boxes_and_scores, _PAIR_NAMES),
+    ("YOLOv5 to v8, YOLOX", dense_layouts.grid_boxes, _GRID_NAMES),
+    ("NanoDet, PicoDet, RTMDet", dense_layouts.levels_apart, f"picodet nanodet-levels {_LEVEL_NAMES}"),
+    ("RT-DETR", end_to_end.labelled_query_rows, "rt-detr-rows"),
+    (
+        "YOLOv10",
+        end_to_end.labelled_rows,
+        "yolov10 yolov10-fractions paddle-rows yolov7-end2end yolo-nas-flat ssd-detections",
+    ),
+    ("RT-DETR", end_to_end.query_rows, "rt-detr-queries"),
+    ("Yolo-FastestV2", dense_layouts.fastest_heads, "yolo-fastestv2"),
+    ("Darknet", dense_layouts.anchor_heads, "darknet-heads yolov5-heads"),
 )
 """The known layouts, in the order in which they are tried: a name for messages, the function that gives the readings of
 outputs (none if the shapes do not fit), and the readings' names for `--layout`."""

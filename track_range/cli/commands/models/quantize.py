@@ -29,14 +29,7 @@ from track_range.evaluation.sequences.settings import LabelFormatField, LabelNam
 from track_range.foundation.arrays import Image
 from track_range.foundation.files.output_files import make_folder, write_json
 from track_range.foundation.options import Options, option
-from track_range.run.options.detection import (
-    AnchorsField,
-    LayoutField,
-    LetterboxField,
-    NamesField,
-    SizeField,
-    ThreadsField,
-)
+from track_range.run.options import detection as fields
 from track_range.run.options.opened import DetectorOptions, open_detector
 from track_range.run.progress import frame_progress
 from track_range.run.ready_model import ready_model
@@ -92,12 +85,12 @@ class QuantizeOptions(Options):
     label_names: LabelNamesField = None
     manifest: ManifestField = None
     split: SplitField = "val"
-    names: NamesField = None
-    anchors: AnchorsField = None
-    letterbox: LetterboxField = None
-    layout: LayoutField = None
-    size_px: SizeField = None
-    threads: ThreadsField = 0
+    names: fields.NamesField = None
+    anchors: fields.AnchorsField = None
+    letterbox: fields.LetterboxField = None
+    layout: fields.LayoutField = None
+    size_px: fields.SizeField = None
+    threads: fields.ThreadsField = 0
     json_file: Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")] = None
 
 
