@@ -41,5 +41,5 @@ def other_kind(path: Path) -> str | None:
         suffix = ".engine"
     elif text.startswith(b"<?xml"):
         suffix = ".xml"
-    kinds = (f"{kind}; use {way.format(name=path.name)}" for kind, suffixes, way in _KINDS if suffix in suffixes)
+    kinds = (f"{kind}; use {advice.format(name=path.name)}" for kind, suffixes, advice in _KINDS if suffix in suffixes)
     return next(kinds, None)

@@ -139,10 +139,10 @@ def _quality(candidates: Candidates, input_hw: tuple[int, int]) -> FloatArray:
     best, size = boxes[kept], boxes[kept, 2:] - boxes[kept, :2]
     is_right = _are_inside(best, input_hw) & (size.prod(axis=1) < _FILLING * input_hw[0] * input_hw[1])
     offset = np.abs((best[:, :2] + best[:, 2:]) / 2 - candidates.cell_px[kept]) / np.maximum(size, _MIN_SIZE_PX)
-    nearness = np.nan_to_num(1 - np.clip(offset.max(axis=1, initial=0.0), 0, 1), nan=1.0)
+    centring = np.nan_to_num(1 - np.clip(offset.max(axis=1, initial=0.0), 0, 1), nan=1.0)
     overlaps = iou(best, boxes) > 0.3
     log_size, log_best = (np.log(np.maximum(b[:, 2:] - b[:, :2], _MIN_SIZE_PX)) for b in (boxes, best))
     differences = np.abs(log_size[None] - log_best[:, None]).mean(axis=2)
     difference = (differences * overlaps).sum(axis=1) / np.maximum(overlaps.sum(axis=1), 1)
     agreement = 1 - np.minimum(difference / _LOG_SIZE_SIGMA, 1)
-    return np.concatenate([is_right * nearness * agreement, np.zeros(min(candidates.n_invalid, _MAX_COMPARED))])
+    return np.concatenate([is_right * centring * agreement, np.zeros(min(candidates.n_invalid, _MAX_COMPARED))])

@@ -58,31 +58,31 @@ def readings_of(network: NetworkOutputs) -> tuple[YoloModel, ...]:
 
     ModelError: no layout fits, or the model's attributes do not.
     """
-    wanted = network.metadata.get("layout", None, "").value
+    requested = network.metadata.get("layout", None, "").value
     known = [name for _, _, names in DETECTOR_LAYOUTS for name in names.split()]
-    if wanted is not None and wanted not in known:
+    if requested is not None and requested not in known:
         raise ModelError(
-            f"{network.path}: unknown layout {quoted(wanted)} (--layout); the layouts are {', '.join(known)}."
+            f"{network.path}: unknown layout {quoted(requested)} (--layout); the layouts are {', '.join(known)}."
         )
     refused: ModelError | None = None
-    for _, readings, names in DETECTOR_LAYOUTS:
-        if wanted is not None and wanted not in names.split():
+    for _, function, names in DETECTOR_LAYOUTS:
+        if requested is not None and requested not in names.split():
             continue
-        found = []
-        for model in readings(network):
+        readings = []
+        for model in function(network):
             try:
-                if wanted in (None, model.name):
-                    found.append(_with_attributes(network, model))
+                if requested in (None, model.name):
+                    readings.append(_with_attributes(network, model))
             except ModelError as error:
                 refused = refused or error
-        if found:
-            return tuple(found)
+        if readings:
+            return tuple(readings)
     if refused is not None:
         raise refused
     shapes = ", ".join(f"{name} {list(shape)}" for name, shape in zip(network.names, network.shapes, strict=True))
-    if wanted is not None:
+    if requested is not None:
         raise ModelError(
-            f"{network.path}: expected outputs of the layout {wanted} (--layout), found {shortened(shapes, 80)}."
+            f"{network.path}: expected outputs of the layout {requested} (--layout), found {shortened(shapes, 80)}."
         )
     families = ", ".join(dict.fromkeys(name for name, _, _ in DETECTOR_LAYOUTS))
     raise ModelError(
