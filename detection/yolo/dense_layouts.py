@@ -1,22 +1,8 @@
 """Layouts of networks that return boxes for the cells of grids and leave the suppression to the caller.
 
-    outputs, for an input of h x w with n = sum of (h / s)(w / s) cells          readings (`--layout`), the usual first
-    [1, 3 n, 5 + C]            strides s of 8, 16, 32; 8 .. 64; 4 .. 32; 16, 32  yolov5, yolov5-fractions
-    [1, n, 5 + C]                                                                yolox, yolox-decoded, yolov6
-    [1, n, 4 + C]                                                                yolov8-rows, ppyoloe, ..-fractions
-    [1, 4 + C, n]                                                                yolov8, yolov8-corners, ..-fractions
-    [1, n, C + 32]             strides 8, 16, 32 (8 .. 64)                       nanodet (nanodet-plus)
-    [1, n(s), C], [1, n(s), 32]   of each stride 8, 16, 32 (8 .. 64)             nanodet-levels (picodet)
-    [1, N, 4] or [1, N, 1, 4], with [1, N, C] or [1, C, N]                       yolov4-boxes, yolo-nas, ..
-    [1, A (5 + C), h/s, w/s]   two to four of them                               darknet-heads, yolov5-heads
-    [1, A, h/s, w/s, 5 + C]    two to four of them                               yolov5-heads
-    [1, h/s, w/s, 5 A + C]     two of them                                       yolo-fastestv2
-    [1, K, h/s, w/s]           three, K = 5 + C or 64 + C                        yolox-heads, yolov8-heads
-    [1, C, h/s, w/s], [1, 4 or 64, h/s, w/s]   three of each                     rtmdet-heads, yolov8-pairs
-
-A = anchors per cell, C = classes; 32 and 64 are 8 and 16 bins per side. Masks and keypoints may follow the classes.
-Sources: the heads of the projects that the readings are named after. The centre of NanoDet's, PicoDet's and YOLOv8's
-cells is (i + 1/2) s, NanoDet-Plus's and RTMDet's i s.
+`_READINGS` lists what their numbers may mean, the tables after it the shapes of the outputs (docs/detectors.md shows
+both). Sources: the heads of the projects that the readings are named after. The centre of NanoDet's, PicoDet's and
+YOLOv8's cells is (i + 1/2) stride, NanoDet-Plus's and RTMDet's i stride.
 """
 
 from __future__ import annotations
@@ -82,7 +68,6 @@ _RTMDET = replace(_NANODET, placement="top-left", pad_grey=114)
 _SSD = replace(_STRETCHED, divisor=128.0, mean=(127 / 128,) * 3)  # qfgaohao's pytorch-ssd
 
 _Code = Callable[[NetworkOutputs, GridCells], BoxCode]
-_Accepts = Callable[[Sequence[FloatArray32]], bool]
 
 
 def _binned(n_bins: int, offset: float = 0.5, *, is_clipped: bool = False) -> _Code:
@@ -107,11 +92,42 @@ _CODES: dict[str, _Code] = {
 _CENTRES, _CENTRE_FRACTIONS, _CORNERS, _FRACTIONS, _OFFSETS, _DISTANCES, _BINS8, _BINS8_CORNER, _BINS16 = _CODES
 
 
+_READINGS = {  # family, code, input format by name
+    "yolov5": ("YOLOv5", _CENTRES, _PLAIN),
+    "yolov5-fractions": ("YOLOv5", _CENTRE_FRACTIONS, _PLAIN),
+    "nanodet": ("NanoDet", _BINS8, _NANODET),
+    "nanodet-plus": ("NanoDet-Plus", _BINS8_CORNER, _NANODET_PLUS),
+    "yolox": ("YOLOX", _OFFSETS, _YOLOX),
+    "yolox-decoded": ("YOLOX", _CENTRES, _YOLOX),
+    "yolov6": ("YOLOv6", _CENTRES, _PLAIN),
+    "yolov8-rows": ("YOLOv8/YOLO11", _CENTRES, _PLAIN),
+    "ppyoloe": ("PP-YOLOE", _CORNERS, _STRETCHED),
+    "yolov8-rows-fractions": ("YOLOv8/YOLO11", _CENTRE_FRACTIONS, _PLAIN),
+    "yolov8": ("YOLOv8/YOLO11", _CENTRES, _PLAIN),
+    "yolov8-corners": ("YOLOv8/YOLO11", _CORNERS, _PLAIN),
+    "yolov8-fractions": ("YOLOv8/YOLO11", _CENTRE_FRACTIONS, _PLAIN),
+    "picodet": ("PicoDet", _BINS8, _PICODET),
+    "nanodet-levels": ("NanoDet", _BINS8, _NANODET),
+    "rtmdet-heads": ("RTMDet", _DISTANCES, _RTMDET),
+    "yolov8-pairs": ("YOLOv8/YOLO11", _BINS16, _PLAIN),
+    "yolox-heads": ("YOLOX", _OFFSETS, _YOLOX),
+    "yolov8-heads": ("YOLOv8/YOLO11", _BINS16, _PLAIN),
+    "yolov4-boxes": ("YOLOv4", _FRACTIONS, _DARKNET),
+    "yolo-nas": ("YOLO-NAS/DAMO-YOLO/YOLO-World", _CORNERS, _PLAIN),
+    "boxes-centres": ("boxes and scores", _CENTRES, _PLAIN),
+    "boxes-centres-fractions": ("boxes and scores", _CENTRE_FRACTIONS, _PLAIN),
+    "ssd": ("SSD", _FRACTIONS, _SSD),
+    "ssd-last": ("SSD", _FRACTIONS, _SSD),
+    "ssd-pixels": ("SSD", _CORNERS, _SSD),
+    "ssd-pixels-last": ("SSD", _CORNERS, _SSD),
+}
+
+
 @dataclass(frozen=True, slots=True)
 class _Kind:
-    """A shape of outputs with its readings: name, family, code and input format of each."""
+    """A shape of outputs, with the names of its readings, the usual one first."""
 
-    readings: tuple[tuple[str, str, str, InputFormat], ...]
+    names: str
     has_objectness: bool = False
     n_box: int = 4
     n_anchors: int = 1  # boxes per cell, of networks with one output
@@ -119,40 +135,28 @@ class _Kind:
     n_levels: tuple[int, ...] = (3, 4, 2)
 
 
-_NANODET_KIND = _Kind((("nanodet", "NanoDet", _BINS8, _NANODET),), n_box=32, n_levels=(3,))
-_PLUS_KIND = _Kind((("nanodet-plus", "NanoDet-Plus", _BINS8_CORNER, _NANODET_PLUS),), n_box=32, n_levels=(4,))
 _GRIDS = (
-    _Kind(
-        (("yolov5", "YOLOv5", _CENTRES, _PLAIN), ("yolov5-fractions", "YOLOv5", _CENTRE_FRACTIONS, _PLAIN)),
-        has_objectness=True,
-        n_anchors=_ANCHORS_PER_CELL,
-    ),
-    _NANODET_KIND,
-    _PLUS_KIND,
-    _Kind(
-        (
-            ("yolox", "YOLOX", _OFFSETS, _YOLOX),
-            ("yolox-decoded", "YOLOX", _CENTRES, _YOLOX),
-            ("yolov6", "YOLOv6", _CENTRES, _PLAIN),
-        ),
-        has_objectness=True,
-    ),
-    _Kind(
-        (
-            ("yolov8-rows", "YOLOv8/YOLO11", _CENTRES, _PLAIN),
-            ("ppyoloe", "PP-YOLOE", _CORNERS, _STRETCHED),
-            ("yolov8-rows-fractions", "YOLOv8/YOLO11", _CENTRE_FRACTIONS, _PLAIN),
-        )
-    ),
-    _Kind(
-        (
-            ("yolov8", "YOLOv8/YOLO11", _CENTRES, _PLAIN),
-            ("yolov8-corners", "YOLOv8/YOLO11", _CORNERS, _PLAIN),
-            ("yolov8-fractions", "YOLOv8/YOLO11", _CENTRE_FRACTIONS, _PLAIN),
-        ),
-        is_transposed=True,
-    ),
+    _Kind("yolov5 yolov5-fractions", has_objectness=True, n_anchors=_ANCHORS_PER_CELL),
+    _Kind("nanodet", n_box=32, n_levels=(3,)),
+    _Kind("nanodet-plus", n_box=32, n_levels=(4,)),
+    _Kind("yolox yolox-decoded yolov6", has_objectness=True),
+    _Kind("yolov8-rows ppyoloe yolov8-rows-fractions"),
+    _Kind("yolov8 yolov8-corners yolov8-fractions", is_transposed=True),
 )
+_LEVELS = (  # by number of dimensions; boxes and scores apart, then in one output for each stride
+    (3, _Kind("picodet", n_box=32, n_levels=(4,))),
+    (3, _Kind("nanodet-levels", n_box=32, n_levels=(3,))),
+    (4, _Kind("rtmdet-heads", n_levels=(3,))),
+    (4, _Kind("yolov8-pairs", n_box=64, n_levels=(3,))),
+    (4, _Kind("yolox-heads", has_objectness=True, n_levels=(3,))),
+    (4, _Kind("yolov8-heads", n_box=64, n_levels=(3,))),
+)
+_N_APART = 4  # number of kinds above with boxes and scores apart
+_PAIRS = "yolov4-boxes yolo-nas boxes-centres boxes-centres-fractions"
+_SSD_PAIRS = "ssd ssd-last ssd-pixels ssd-pixels-last"
+GRID_NAMES = " ".join(kind.names for kind in _GRIDS)
+LEVEL_NAMES = " ".join(kind.names if n == 3 else f"{kind.names} {kind.names}-activated" for n, kind in _LEVELS)
+PAIR_NAMES = f"{_PAIRS} {_SSD_PAIRS}"
 
 
 def grid_boxes(network: NetworkOutputs) -> Iterator[YoloModel]:
@@ -168,7 +172,8 @@ def grid_boxes(network: NetworkOutputs) -> Iterator[YoloModel]:
             n_classes, note = (width - 32, "") if is_binned else _n_classes(network, width - first)
             cells = GridCells.of(network.input_hw, strides, kind.n_anchors, is_rounded_up=is_binned)
             part = partial(Part, i, n_anchors=int(kind.is_transposed))
-            for name, family, code, form in kind.readings:
+            for name in kind.names.split():
+                family, code, form = _READINGS[name]
                 rows = BoxRows(
                     boxes=part(slice(n_classes, None) if is_binned else slice(0, 4)),
                     objectness=part(slice(4, 5)) if kind.has_objectness else None,
@@ -177,14 +182,9 @@ def grid_boxes(network: NetworkOutputs) -> Iterator[YoloModel]:
                     cell_px=cells.points_px(),
                 )
                 is_tiny = kind.n_anchors == _ANCHORS_PER_CELL and len(strides) == 2
-                model = _model(
-                    "YOLOv4-tiny" if is_tiny else family,
-                    name,
-                    f"boxes of all cells {list(network.shapes[i])}: {code}",
-                    n_classes,
-                    _DARKNET if is_tiny else form,
-                    [rows],
-                )
+                family, form = ("YOLOv4-tiny", _DARKNET) if is_tiny else (family, form)
+                layout = f"boxes of all cells {list(network.shapes[i])}: {code}"
+                model = _model(family, name, layout, n_classes, form, [rows])
                 accepts = partial(_has_constant_objectness, i, name == "yolov6") if name in _OBJECTNESS else None
                 yield replace(model, note=note, accepts=accepts)
 
@@ -202,30 +202,14 @@ def _model(
     return YoloModel(family, layout, n_classes, form, partial(decode_rows, levels), name=name)
 
 
-_PAIRED = (
-    ("picodet", "PicoDet", _BINS8, _PICODET),
-    ("nanodet-levels", "NanoDet", _BINS8, _NANODET),
-    ("rtmdet-heads", "RTMDet", _DISTANCES, _RTMDET),
-    ("yolov8-pairs", "YOLOv8/YOLO11", _BINS16, _PLAIN),
-)
-_LEVELS = (  # number of dimensions, of levels, kind; boxes and scores apart, then in one output for each stride
-    (3, _Kind(_PAIRED[:1], n_box=32, n_levels=(4,))),
-    (3, _Kind(_PAIRED[1:2], n_box=32, n_levels=(3,))),
-    (4, _Kind(_PAIRED[2:3], n_levels=(3,))),
-    (4, _Kind(_PAIRED[3:], n_box=64, n_levels=(3,))),
-    (4, _Kind((("yolox-heads", "YOLOX", _OFFSETS, _YOLOX),), has_objectness=True, n_levels=(3,))),
-    (4, _Kind((("yolov8-heads", "YOLOv8/YOLO11", _BINS16, _PLAIN),), n_box=64, n_levels=(3,))),
-)
-
-
 def levels_apart(network: NetworkOutputs) -> Iterator[YoloModel]:
     """Readings of the cells of each stride in one output, or in two, boxes and scores, in any order."""
     shapes = network.shapes
     for number, (n_dimensions, kind) in enumerate(_LEVELS):
         if any(len(shape) != n_dimensions or shape[0] != 1 for shape in shapes):
             continue
-        is_apart, n_levels = number < len(_PAIRED), kind.n_levels[0]
-        ((name, family, code, form),) = kind.readings
+        is_apart, n_levels, name = number < _N_APART, kind.n_levels[0], kind.names
+        family, code, form = _READINGS[name]
         levels = []
         for stride in STRIDES_PX[n_levels - 3]:
             cells = GridCells.of(network.input_hw, (stride,), is_rounded_up=True)
@@ -280,19 +264,6 @@ def _are_probabilities(parts: Sequence[Part], expected: bool, outputs: Sequence[
     return all(scores.min() >= 0 and scores.max() <= 1.001 for scores in (p.of(outputs) for p in parts)) == expected
 
 
-_PAIRS = (
-    ("yolov4-boxes", "YOLOv4", _FRACTIONS, _DARKNET),
-    ("yolo-nas", "YOLO-NAS/DAMO-YOLO/YOLO-World", _CORNERS, _PLAIN),
-    ("boxes-centres", "boxes and scores", _CENTRES, _PLAIN),
-    ("boxes-centres-fractions", "boxes and scores", _CENTRE_FRACTIONS, _PLAIN),
-)
-_SSD_PAIRS = tuple(
-    (f"ssd{unit}{end}", "SSD", code, _SSD)
-    for unit, code in (("", _FRACTIONS), ("-pixels", _CORNERS))
-    for end in ("", "-last")
-)
-
-
 def boxes_and_scores(network: NetworkOutputs) -> Iterator[YoloModel]:
     """Readings of boxes [1, N, 1, 4] or [1, N, 4], and scores [1, N, C] or [1, C, N], in any order.
 
@@ -311,7 +282,8 @@ def boxes_and_scores(network: NetworkOutputs) -> Iterator[YoloModel]:
         part = Part(scores, n_anchors=int(is_transposed))
         is_tiny = n_rows == _ANCHORS_PER_CELL * network.n_cells((16, 32))
         has_background = n_columns - 1 in (network.n_names, *(() if network.n_names else (80, 20)))
-        for name, family, code, form in _SSD_PAIRS if has_background else _PAIRS:
+        for name in (_SSD_PAIRS if has_background else _PAIRS).split():
+            family, code, form = _READINGS[name]
             is_last = name.endswith("-last")
             kept, other = (slice(0, -1), slice(-1, None)) if is_last else (slice(1, None), slice(0, 1))
             rows = BoxRows(

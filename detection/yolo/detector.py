@@ -79,6 +79,13 @@ class _Input:
     letterbox: Letterbox  # placement of the images in the input
     free: deque[_Buffers] = field(default_factory=deque)  # buffers that are not in use
 
+    @classmethod
+    def of(
+        cls, network: BoundNetwork, model: YoloModel, image_hw: tuple[int, int], input_hw: tuple[int, int]
+    ) -> _Input:
+        """The input for a reading of the outputs, which determines the placement of the image."""
+        return cls(network, model, Letterbox.of_placement(model.input_format.placement, image_hw, input_hw))
+
     def buffers(self) -> _Buffers:
         """Free buffers, or new ones with the padding."""
         try:
@@ -165,11 +172,9 @@ class YoloDetector:
     @property
     def why(self) -> str:
         """Reason for the choice of the layout."""
-        if self._first_images.why:
-            return self._first_images.why
-        if self._metadata.get("layout", None, "").value is not None:
-            return self._metadata.get("layout", None, "").source
-        return "the shapes of the outputs" if len(self.readings) == 1 else "the usual one for the shapes of the outputs"
+        stated = self._metadata.get("layout", None, "the usual one for " if len(self.readings) > 1 else "")
+        source = stated.source if stated.value is not None else f"{stated.source}the shapes of the outputs"
+        return self._first_images.why or source
 
     @property
     def box_errors(self) -> BoxErrors | None:
@@ -297,18 +302,13 @@ class YoloDetector:
             self._bound[input_hw] = network, readings_of(outputs)
         network, readings = self._bound[input_hw]
         chosen = [reading for reading in readings if reading.name == self._first_images.chosen]
-        return self._as_read(network, (chosen or readings)[0], image_hw, input_hw)
-
-    def _as_read(
-        self, network: BoundNetwork, model: YoloModel, image_hw: tuple[int, int], input_hw: tuple[int, int]
-    ) -> _Input:
-        return _Input(network, model, Letterbox.of_placement(model.input_format.placement, image_hw, input_hw))
+        return _Input.of(network, (chosen or readings)[0], image_hw, input_hw)
 
     def _compare_readings(self, image: Image) -> None:
         """Compare the readings of the outputs on `image`, one of the first, and use the best one from now on."""
         network, readings = self._bound[self.input_hw]
         letterbox = self._input.letterbox
-        inputs = [self._as_read(network, reading, letterbox.image_hw, letterbox.input_hw) for reading in readings]
+        inputs = [_Input.of(network, reading, letterbox.image_hw, letterbox.input_hw) for reading in readings]
         by_format: dict[object, list[FloatArray32]] = {}
         for source in inputs:
             if source.model.input_format not in by_format:

@@ -1,17 +1,4 @@
-"""Layouts of networks that return one box per object, without non-maximum suppression.
-
-    outputs (N at most 1000)                               readings (`--layout`), the usual one first
-    [1, N, 6], [N, 6] left, top, right, bottom, score, label   yolov10 (YOLO26; other YOLO exported with suppression)
-    [1, N, 6 + K]                                          yolov10, with K coefficients of masks or keypoints, ignored
-    [N, 7], [1, N, 7] batch, box, label, score             yolov7-end2end; yolo-nas-flat: score, label
-    [1, 1, N, 7] batch, label, score, box as fractions     ssd-detections
-    labels [1, N], boxes [1, N, 4], scores [1, N]          d-fine (RT-DETR, DEIM), with the input orig_target_sizes
-    the same and a number of boxes, [1] or [1, 1]          end2end
-    boxes [1, N, 5] or [N, 5] with scores, labels [1, N]   mmdet
-    boxes [N, 4], scores [N], labels [N]                   torchvision
-    logits [1, N, K], boxes [1, N, 4]                      detr (RF-DETR; DETR, RT-DETR, D-FINE from Hugging Face)
-    [1, N, 6] box, score, label                            rt-detr-rows, from Ultralytics' exporter, by its metadata
-    [1, N, 4 + C] box, class scores                        rt-detr-queries, from older versions of it
+"""Layouts of networks that return one box per object, without non-maximum suppression (docs/detectors.md lists them).
 
 The outputs are recognised by shape and type, since RF-DETR calls its logits `labels`; names decide only if two shapes
 are the same. (Carion et al., "End-to-End Object Detection with Transformers", 2020; Wang et al., "YOLOv10", 2024; Peng
@@ -179,21 +166,20 @@ def labels_boxes_scores(network: NetworkOutputs) -> Iterator[YoloModel]:
         yield replace(_labelled("MMDetection", "mmdet", layout, rows), input_format=_MMDET_INPUT)
         return
     (scores,) = (i for i in vectors if i != labels[0])
+    first = int(network.n_names is not None)
     rows = LabelledBoxes((boxes[0], slice(0, 4)), (scores, None), label, corners())
     if network.has_target_sizes:
         text = f"{layout}, with {TARGET_SIZES}"
         yield _square_model("D-FINE/DEIM/RT-DETR", "d-fine", text, None, rows.decode)
     elif counts and not network.is_integer[labels[0]]:  # TensorFlow: top, left, bottom, right; labels from 1
-        rows = replace(
-            rows, code=decoders.rows_first(network.input_wh), first_label=0 if network.n_names is None else 1
-        )
+        rows = replace(rows, code=decoders.rows_first(network.input_wh), first_label=first)
         model = _labelled("TensorFlow's detection API", "tf-detections", f"{layout}, corners as fractions", rows)
         yield replace(model, n_classes=None if network.n_names else 91, input_format=_STRETCHED_INPUT)
     elif counts:
         for name, code in (("end2end", corners()), ("end2end-fractions", corners(network.input_wh))):
             yield _labelled("YOLO with suppression", name, layout, replace(rows, code=code))
     elif flat:  # labels from 1, or COCO's category ids
-        rows = replace(rows, first_label=0 if network.n_names is None else 1)
+        rows = replace(rows, first_label=first)
         model = _labelled("torchvision", "torchvision", layout, rows)
         yield replace(model, n_classes=None if network.n_names else 91, input_format=_STRETCHED_INPUT)
     else:

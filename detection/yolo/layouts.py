@@ -24,21 +24,12 @@ _DEFAULT_NAMES = {80: ("COCO", COCO_CLASSES), 20: ("VOC", VOC_CLASSES), 91: ("CO
 """Class list by number of classes, for networks without class names."""
 _EXPORT_HINT = "export with batch size 1 and without postprocessing (docs/detectors.md)"
 
-_GRID_NAMES = (
-    "yolov5 yolov5-fractions nanodet nanodet-plus yolox yolox-decoded yolov6 yolov8-rows ppyoloe yolov8-rows-fractions "
-    "yolov8 yolov8-corners yolov8-fractions"
-)
-_LEVEL_NAMES = " ".join(
-    f"{name} {name}-activated" for name in ("rtmdet-heads", "yolov8-pairs", "yolox-heads", "yolov8-heads")
-)
-_PAIR_NAMES = "yolov4-boxes yolo-nas boxes-centres boxes-centres-fractions ssd ssd-last ssd-pixels ssd-pixels-last"
-
 DETECTOR_LAYOUTS: tuple[tuple[str, Callable[[NetworkOutputs], Iterator[YoloModel]], str], ...] = (
     ("RF-DETR", end_to_end.logits_and_boxes, "detr"),
     ("D-FINE/DEIM", end_to_end.labels_boxes_scores, "d-fine end2end end2end-fractions mmdet torchvision tf-detections"),
-    ("YOLOv4, YOLO-NAS, SSD", dense_layouts.boxes_and_scores, _PAIR_NAMES),
-    ("YOLOv5 to v8, YOLOX", dense_layouts.grid_boxes, _GRID_NAMES),
-    ("NanoDet, PicoDet, RTMDet", dense_layouts.levels_apart, f"picodet nanodet-levels {_LEVEL_NAMES}"),
+    ("YOLOv4, YOLO-NAS, SSD", dense_layouts.boxes_and_scores, dense_layouts.PAIR_NAMES),
+    ("YOLOv5 to v8, YOLOX", dense_layouts.grid_boxes, dense_layouts.GRID_NAMES),
+    ("NanoDet, PicoDet, RTMDet", dense_layouts.levels_apart, dense_layouts.LEVEL_NAMES),
     ("RT-DETR", end_to_end.labelled_query_rows, "rt-detr-rows"),
     (
         "YOLOv10",

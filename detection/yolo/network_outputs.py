@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -54,18 +55,15 @@ class NetworkOutputs:
         """Width and height of the input, the unit of fractions."""
         return float(self.input_hw[1]), float(self.input_hw[0])
 
-    def n_cells(self, strides_px: Sequence[int]) -> int:
-        """Total number of grid cells of the input at these strides."""
-        return sum((self.input_hw[0] // stride) * (self.input_hw[1] // stride) for stride in strides_px)
-
-    def n_cells_rounded_up(self, strides_px: Sequence[int]) -> int:
-        """The same, for grids whose last cells may lie beyond the input."""
-        return sum(-(-self.input_hw[0] // stride) * -(-self.input_hw[1] // stride) for stride in strides_px)
+    def n_cells(self, strides_px: Sequence[int], *, is_rounded_up: bool = False) -> int:
+        """Total number of grid cells of the input at these strides; the last ones may lie beyond it if rounded up."""
+        height, width = (-side if is_rounded_up else side for side in self.input_hw)
+        return sum((height // stride) * (width // stride) for stride in strides_px)
 
     def grid_strides(self, n: int, per_cell: int = 1, *, is_rounded_up: bool = False) -> tuple[int, ...] | None:
         """Strides of the grids that have so many boxes in all, with `per_cell` boxes for each cell; None without."""
-        count = self.n_cells_rounded_up if is_rounded_up else self.n_cells
-        return next((strides for strides in STRIDES_PX if n == per_cell * count(strides)), None)
+        counts = {self.n_cells(strides, is_rounded_up=is_rounded_up): strides for strides in STRIDES_PX[::-1]}
+        return counts.get(n // per_cell) if n % per_cell == 0 else None
 
     def is_grid(self, n_rows: int) -> bool:
         """Whether so many boxes are those of grids, with one or three for each cell."""
@@ -87,7 +85,4 @@ class NetworkOutputs:
     def n_keypoints(self) -> int:
         """Number of values of a box's keypoints, from Ultralytics' metadata; 0 without."""
         shape: tuple[int, ...] = self.metadata.get("kpt_shape", (0,), "").value
-        product = 1
-        for length in shape:
-            product *= length
-        return product
+        return math.prod(shape)

@@ -174,3 +174,24 @@ def test_real_networks_are_neither_refused_nor_ambiguous(shared_data):
             detector.detect(image)
         assert detector.model.name == name
         assert "the usual one" not in detector.why
+
+
+def test_another_number_of_boxes_in_each_image(tmp_path):
+    """A suppression returns any number of rows: 1 to 4 here, by the brightness of the image."""
+    case = layout_networks.labelled("b", "x", "l", "s", is_batched=False)
+    constants = {"rows": case.outputs["output0"].astype(np.float32), "levels": np.float32([-1, 0.2, 0.4, 0.6])}
+    nodes = [
+        helper.make_node("ReduceMean", ["images"], ["mean"], keepdims=0),
+        helper.make_node("Greater", ["mean", "levels"], ["is_kept"]),
+        helper.make_node("Compress", ["rows", "is_kept"], ["output0"], axis=0),
+    ]
+    image = helper.make_tensor_value_info("images", onnx.TensorProto.FLOAT, (1, 3, SIDE, SIDE))
+    output = helper.make_tensor_value_info("output0", onnx.TensorProto.FLOAT, ("n", 7))
+    weights = [onnx.numpy_helper.from_array(value, name) for name, value in constants.items()]
+    graph = helper.make_graph(nodes, "variable", [image], [output], weights)
+    onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=9), tmp_path / "m.onnx")
+    detector = YoloDetector(tmp_path / "m.onnx")
+    for grey, n in ((0, 1), (255, 4), (128, 3), (64, 2), (0, 1), (255, 4)):
+        detections = detector.detect(np.full((SIDE, SIDE, 3), grey, np.uint8))
+        np.testing.assert_allclose(detections.xyxy_px + 0.5, OBJECTS[:n], atol=0.01)
+    assert detector.model.name == "yolov7-end2end"
