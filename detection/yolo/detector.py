@@ -206,6 +206,10 @@ class YoloDetector:
             notes.append(f"The network returned NaN, infinite numbers or unknown labels; {boxes} dropped.")
         return tuple(notes)
 
+    def restart(self) -> None:
+        """Forget the images of a video, for the next one: counts of boxes, and the layout that they showed."""
+        self.n_invalid, self._first_images = 0, FirstImages(self._session.path)
+
     def detect(self, image: Image) -> Detections:
         """The road users in `image`, (H, W, 3) uint8 BGR, in order of decreasing score."""
         return self.prepared(image)()

@@ -55,6 +55,19 @@ def test_nothing_on_the_first_images(tmp_path):
     detector.detect(IMAGE)
     assert any("detected nothing of any class on the first 10 images" in note for note in detector.notes)
     assert detector.model.name == "yolov8"
+    detector.restart()
+    detector.detect(IMAGE)
+    assert not any("detected nothing" in note for note in detector.notes)
+
+
+def test_each_video_decides_on_its_own(tmp_path):
+    path = write(tmp_path / "m.onnx", layout_networks.v8(unit=SIDE))
+    detector = YoloDetector(path)
+    for _ in range(2):
+        assert len(detector.detect(IMAGE)) == 4
+        assert "plausible ones" in detector.why
+        detector.restart()
+        assert "the usual one" in detector.why
 
 
 def test_garbage_is_refused(tmp_path):

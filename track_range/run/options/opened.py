@@ -131,7 +131,7 @@ class OpenedDetectors:
             self._detector = self._key = None  # two networks at a time would need twice the memory
             self._detector = open_detector(path, options)
             self._key = key
-        self._detector.n_invalid = 0
+        self._detector.restart()
         return self._detector
 
 
