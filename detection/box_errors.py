@@ -6,8 +6,6 @@ How tight boxes are depends on the labels that a detector was trained with, on i
 error of an object hardly changes while it is in view, so that it does not average out over its frames.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 

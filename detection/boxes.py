@@ -1,7 +1,5 @@
 """Boxes as (N, 4) arrays: conversion of layouts, areas, IoU and vectorised non-maximum suppression."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The road classes, and the names of other class lists (COCO, KITTI, VOC) that map to them."""
 
-from __future__ import annotations
-
 import difflib
 import re
 from collections.abc import Iterable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """The `ObjectDetector` protocol: what every detector of road users implements."""
 
-from __future__ import annotations
-
 from typing import Any, Protocol
 
 import numpy as np

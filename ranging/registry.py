@@ -6,8 +6,6 @@ A package registers a `RangingMethod` under the entry point group `track_range.r
     my_method = "my_package.my_module:MY_METHOD"
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache

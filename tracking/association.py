@@ -7,8 +7,6 @@ Most tracks and detections of a frame have only one possible partner: these pair
 others form a linear assignment problem (scipy's solver: Crouse's variant of the Jonker-Volgenant algorithm).
 """
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

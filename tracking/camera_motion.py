@@ -14,8 +14,6 @@ is fitted too: the result is yaw, pitch and roll. On a KITTI odometry drive with
 to 0.7 px rms; by robust similarities to 13-23 px, and without compensation to 1.1 px.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

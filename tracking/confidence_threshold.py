@@ -16,8 +16,6 @@ The threshold is the score at which the persistence reaches a fraction of that o
 the cars, 0.7 for the persons, 0.8 for MOT15. A prior holds it at the initial threshold until boxes have been counted.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -17,8 +17,6 @@ box instead of the filter's estimate, because the estimate's edges lag. The chi-
 boxes cut off by the image border or by an occluder do not follow the motion model, and IoU is a gate by itself.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np

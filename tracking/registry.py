@@ -5,8 +5,6 @@ A tracker needs one file, with a class that has `update` (`track_range.tracking.
 another package, or a call to `register_tracker`.
 """
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass

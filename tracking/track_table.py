@@ -4,8 +4,6 @@ Arrays are copied when tracks start or end; the filters are replaced in every fr
 embeddings.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from track_range.detection.boxes import xyxy_from_cxcywh

@@ -7,8 +7,6 @@
 If an option occurs twice in a section, the first one is used, as in Darknet (`option_find` in option_list.c).
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass

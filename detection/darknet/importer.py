@@ -20,8 +20,6 @@ Darknet uses sqrt(variance) + 0.000001 and OpenCV sqrt(variance + 0.000001); the
 with a tiny variance.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence

@@ -12,8 +12,6 @@ Layers count from 0 at the section after [net]; `layers=-1` is the previous laye
 Divisions round down. (AlexeyAB's parser.c and *_layer.c, with which YOLOv4 was trained.)
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

@@ -7,8 +7,6 @@ Matching: `detection.evaluation.matching`.
 (Lin et al., "Microsoft COCO", ECCV 2014; cocodataset.org/#detection-eval.)
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -9,8 +9,6 @@ Blocks, since an object is in many images of a video. No set of images shows d: 
 `UNKNOWN_DETECTOR` was measured.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 

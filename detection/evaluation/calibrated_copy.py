@@ -5,8 +5,6 @@ per score; where something else follows the sigmoid, it computes the logit of th
 calibrated again.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from pathlib import Path

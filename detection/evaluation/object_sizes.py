@@ -9,8 +9,6 @@ Heights, since a distance by size follows from the height in pixels: at a focal 
 25 px high at 60 m, 50 px at 30 m and 100 px at 15 m.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -5,8 +5,6 @@ The format is recognised from the content: KITTI, rows of numbers (`video_labels
 MOTChallenge file has the same rows with an embedding appended to each (the format of nwojke/deep_sort).
 """
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The exception about label and detection files."""
 
-from __future__ import annotations
-
 from track_range.foundation.errors import UserError
 
 

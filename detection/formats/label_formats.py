@@ -3,8 +3,6 @@
 A format is one row of `LABEL_FORMATS`. Files are recognised by their first bytes or line, never by their names.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Callable

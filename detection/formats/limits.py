@@ -1,7 +1,5 @@
 """Limits of the numbers in label and detection files; larger ones are in another unit or damaged."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray

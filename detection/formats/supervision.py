@@ -4,8 +4,6 @@ supervision does not have to be installed. It uses the corner convention (the im
 pixel centres at integers (the left edge is -0.5), so boxes are shifted by half a pixel.
 """
 
-from __future__ import annotations
-
 import importlib.util
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

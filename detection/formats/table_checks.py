@@ -1,7 +1,5 @@
 """Checks of label files that apply to several formats: identities, frame numbers, names of images, and notes."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path

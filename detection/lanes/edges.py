@@ -9,8 +9,6 @@ the yellow channel, (R + G) / 2 - B, instead of grey. Without paint, or if shado
 lines are found; use a network in such scenes.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import cv2

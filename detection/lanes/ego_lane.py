@@ -21,8 +21,6 @@ reweighting (Beaton and Tukey 1974). Errors of neighbouring pixels are correlate
 weight of only a few independent ones. If only one line is visible, the other follows from the expected width.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ point      / \        lines grows linearly from the row of the vanishing point d
          /  w  \
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Protocol, TypeVar

@@ -17,8 +17,6 @@ Decoders of lane networks' outputs into pixels on lines.
 Decoders return pixels of the network's input, with pixel centres at integers, and the line number of each pixel.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -5,8 +5,6 @@ into the user's cache folder. A model is listed only if the checksums of all its
 opencv_extra and opencv_zoo, OpenVINO's Open Model Zoo, Git LFS, or several independent projects).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from track_range.detection.classes import COCO_CATEGORIES, COCO_CLASSES

@@ -4,8 +4,6 @@ A download is written to NAME.part in the cache folder and renamed to NAME once 
 therefore always complete, even if the program was killed or two programs download the same file at once.
 """
 
-from __future__ import annotations
-
 import hashlib
 import http.client
 import os

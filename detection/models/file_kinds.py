@@ -1,7 +1,5 @@
 """Files that are given as a detector and are no ONNX network: their kind, and what to do."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 _HEAD_BYTES = 512

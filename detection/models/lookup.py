@@ -1,7 +1,5 @@
 """Lookup of models by name or path: the user's files, packaged models, and models in the catalogue."""
 
-from __future__ import annotations
-
 import difflib
 import os
 from collections.abc import Iterable

@@ -19,8 +19,6 @@ family's default is used. All sources use the same keys:
 RF-DETR's exporter writes one JSON document, `rfdetr_inference`, whose class names, mean and std are used.
 """
 
-from __future__ import annotations
-
 import ast
 import sys
 import warnings

@@ -23,8 +23,6 @@ INT8 requires a CPU with VNNI (or ARM's dot product): older CPUs add pairs of pr
 is hardly faster. FP16 is for GPUs; a CPU converts to float32 and back.
 """
 
-from __future__ import annotations
-
 import copy
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """Writing of model files: atomically, and without the output of the libraries that convert them."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import logging

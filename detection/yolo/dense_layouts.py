@@ -5,8 +5,6 @@ both). Sources: the heads of the projects that the readings are named after. The
 YOLOv8's cells is (i + 1/2) stride, NanoDet-Plus's and RTMDet's i stride.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial

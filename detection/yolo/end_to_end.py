@@ -5,8 +5,6 @@ are the same. (Carion et al., "End-to-End Object Detection with Transformers", 2
 et al., "D-FINE", 2024; Robinson et al., "RF-DETR", 2025; exporters of YOLOv7, super-gradients, MMDeploy.)
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial

@@ -5,8 +5,6 @@ wrong one gives boxes of less than two pixels (fractions taken as pixels), beyon
 or of negative size (centres taken as corners).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

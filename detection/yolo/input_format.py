@@ -4,8 +4,6 @@ An image is written into the network's buffer with one resize and one multiplica
 arrays: a third of the time of OpenCV's blobFromImage, whose result would also have to be copied into the padding.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from typing import Any, Literal, get_args

@@ -5,8 +5,6 @@ object. Shapes, metadata and the number of class names determine which readings 
 between them by the values. The family's other defaults can be overridden (`detection.models.metadata`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path

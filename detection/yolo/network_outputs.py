@@ -1,7 +1,5 @@
 """NetworkOutputs, from which a layout is identified, and YoloModel, the result."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field

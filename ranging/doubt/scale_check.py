@@ -20,8 +20,6 @@ are named, weighed by how common such a mistake is (`prior_cost`). A usual heigh
 alone exclude nothing: there are lorries and robots.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections import deque

@@ -1,7 +1,5 @@
 """ScaleDoubt: a given scale that the drive contradicts, as values and as a sentence."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence, Set
 from typing import Literal, NamedTuple

@@ -10,8 +10,6 @@ Metrics of published evaluations (Eigen, Puhrsch and Fergus, NIPS 2014):
     delta_k   fraction of max(d / t, t / d) < 1.25^k
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 

@@ -12,8 +12,6 @@ R is 10 % of the distance in their text and 0.1 in their equation; the equation 
 interval. The filter lags behind moving targets, and, if V is unknown, behind all targets with a relative speed.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any, Literal

@@ -1,7 +1,5 @@
 """Box-only methods on labelled boxes: registered ranging methods as in a run, and plain curves."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -7,8 +7,6 @@ track-frames that a method measured. The `common` metrics cover the track-frames
 methods are compared on the same objects.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Evaluation of box-only methods on labelled boxes with known distances."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -15,8 +15,6 @@ ray   / |____             axis and width w along the z axis of the box, rotated 
    o x the ray meets the front face first: distance_m is the z of that point
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Literal
 

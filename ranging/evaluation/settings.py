@@ -1,7 +1,5 @@
 """RangeEvaluationSettings: options of the evaluation of distances on labelled boxes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Literal
 

@@ -29,8 +29,6 @@ Where the image border cuts a box, the prediction is that of the object's far en
 in the images is a further measurement (`key_distance`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

@@ -16,8 +16,6 @@ A box that is truncated at the left or right image border is not a measurement: 
 constant while the object passes, as on a collision course.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple

@@ -12,8 +12,6 @@ has another one than a motorway. Without ego speed there is no static model. Con
 13 of KITTI's tracking sequences.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES

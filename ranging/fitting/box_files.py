@@ -10,8 +10,6 @@ an export of a run it is the run's own, which teaches a size model nothing new. 
 image, predicted boxes and boxes without a distance are left out.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

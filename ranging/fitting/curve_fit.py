@@ -5,8 +5,6 @@ sequence at a time: within a sequence the same few vehicles appear in hundreds o
 are much smaller.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -11,8 +11,6 @@ residual sum of squares = sum (d_fitted - d)^2 over the fitted boxes (Zhang et a
 cross-validated error   = mean |d_fitted - d| / d, with each sequence measured by a curve fitted to other sequences
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

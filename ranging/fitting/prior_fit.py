@@ -18,8 +18,6 @@ production models are the prior: they count as n_0 objects of each type. With th
 x = log (height, width, length).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """FitSettings: options of the fit of size models."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -38,8 +38,6 @@ width, if they contradict the size methods (the lines may be those of another la
 that depends on the horizon is nearer to the lane methods.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

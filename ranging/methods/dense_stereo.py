@@ -1,7 +1,5 @@
 """DenseRanger: stereo distance from the dense disparity image of semi-global matching (SGBM)."""
 
-from __future__ import annotations
-
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
 

@@ -11,8 +11,6 @@ since a key frame (`patch_scale`), which is tens of times as precise. The typica
 what changes of speed are likely. The growth is also a measurement for the filters of distances (`Ranges.growth`).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES

@@ -20,8 +20,6 @@ error source `drive_scale` is what both methods have in common. A width far from
 Where the height H of the camera is known, the lines show their distance: W = H w' fy / fx.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

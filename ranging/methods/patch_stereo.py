@@ -10,8 +10,6 @@ then consistent with each other and over time, and only their common scale is un
 is common to all methods and not part of these sigmas.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping
 from typing import Any

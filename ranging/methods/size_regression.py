@@ -1,7 +1,5 @@
 """SizeRanger: monocular distance from the size and the bottom edge of a box, with a size model per class."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

@@ -6,8 +6,6 @@ with focal length f in px and baseline B in m; the error grows with the square o
 Pengyu, eq. 5-6, with the disparity at the centre of the box.)
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass

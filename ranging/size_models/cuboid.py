@@ -10,8 +10,6 @@ The box of a car is as wide as its rear seen from behind, and as its length seen
 not give a distance. But the joint distribution of width and height follows from the sizes of cars.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import product
 from typing import Any

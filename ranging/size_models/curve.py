@@ -4,8 +4,6 @@
 class (`log_linear`). `table`: a plain curve per class, such as Zhang's polynomial, made monotonic (`tables`).
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping
 from importlib import resources

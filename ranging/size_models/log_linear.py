@@ -8,8 +8,6 @@ range. Boxes truncated at a side are ranged by a second set of coefficients with
 part (residuals on left-out sequences) and a part from the noise of the box in px.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any

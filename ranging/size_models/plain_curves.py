@@ -11,8 +11,6 @@ negative outside the fitted sizes; `SAFE_CURVES` make it monotonically decreasin
 TableSizes: size model with monotonic tables of plain curves, such as Zhang's polynomial of the box diagonal.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial

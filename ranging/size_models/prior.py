@@ -10,8 +10,6 @@ The components b are body types (small van, high-roof van, lorry); classes whose
 interpolation, so that the boxes of a frame need a single look-up.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache, partial

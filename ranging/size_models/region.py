@@ -1,7 +1,5 @@
 """Regions of the world, whose road users and lanes differ in size, and the region of a position."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 Region = Literal["unknown", "europe", "north-america", "east-asia"]

@@ -15,8 +15,6 @@ years 2008 to 2018); in East Asia: our estimate from sales of Japan, China and S
 A century of trends in adult human height, eLife 2016, with shoes and some children.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple

@@ -11,8 +11,6 @@ are estimated for each object from the other objects only, so that they are inde
 and those that were seen earlier in the drive (`DriveState`), between which the pitch has changed.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, TypeVar
 

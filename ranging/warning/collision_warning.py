@@ -17,8 +17,6 @@ both of which are constant for static objects and for all that follow the road. 
 probability of contact: they hang above the road, or are beside it.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import NamedTuple

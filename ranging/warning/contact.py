@@ -19,8 +19,6 @@ deviation of the lateral acceleration of the object. Arrival time and lateral of
 their common error, a factor of the scale, does not move an object that is ahead out of the path.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

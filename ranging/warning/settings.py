@@ -1,7 +1,5 @@
 """WarningSettings: thresholds of the collision warning, without imports, for help pages."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

@@ -11,8 +11,6 @@ bias), whose effect J on the pose grows with the distance travelled, and one tha
     P' = F P F^T + Q        J' = F J + B        covariance = P + J J^T        F = d pose' / d pose
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

@@ -15,8 +15,6 @@ appears twice as far. An object counts as static if its triangulated distance ag
 `_MAX_SIGMA` for `_MIN_STATIC_S`; only vehicles, signs and lights are considered, since people walk slowly.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import cv2

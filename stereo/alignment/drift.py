@@ -7,8 +7,6 @@ A frame is corrected with the measurements that ended before it, so that results
 threads run. A change that is not significant is not applied.
 """
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_left
 from collections.abc import Sequence

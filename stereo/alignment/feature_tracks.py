@@ -6,8 +6,6 @@ Pyramidal Lucas-Kanade (Bouguet) finds only nearby positions: from left to right
 over time from the last position.
 """
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 from typing import Any, NamedTuple

@@ -17,8 +17,6 @@
 Missing keys have the values of an alignment that was not measured.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -6,8 +6,6 @@ A wrong baseline, or a wrong focal length of both cameras, scales all distances 
 another one: no figure here contains it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -6,8 +6,6 @@ may be on it; so the static scene's motion is the fastest one that has points al
 points that do not follow it are omitted. Rays and inverse depths start from the first observation of a point.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple

@@ -9,8 +9,6 @@ images. The disparities d of the matches are compared with inverse depths r from
 The error o is that with which most points of all steps agree; points are in front of the camera, so that r >= 0.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple

@@ -6,8 +6,6 @@ and part of the time, and sigma comes from the delete-a-group jackknife (`founda
 over parts, which is larger than the number of points suggests.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple

@@ -8,8 +8,6 @@ All that moves up or down counts: the expansion of the image in forward motion, 
 terms are those of a rig that does not fit the images. Without vertical motion, the lag is unknown.
 """
 
-from __future__ import annotations
-
 import math
 from functools import partial
 from typing import NamedTuple

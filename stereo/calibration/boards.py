@@ -6,8 +6,6 @@
 A board's frame has x along its rows, y down its columns and z away from the camera.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 

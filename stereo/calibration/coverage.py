@@ -8,8 +8,6 @@ The lens distortion is extrapolated where there are no corners, and views withou
 length.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

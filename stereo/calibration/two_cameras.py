@@ -7,8 +7,6 @@ error is also evaluated on pairs held out of the fit:
     dy = | y_left - y_right | of a corner in the rectified images, 0 for a perfect rig
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

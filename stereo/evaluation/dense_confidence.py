@@ -12,8 +12,6 @@ era", PAMI 2022, compares measures of single pixels.) Margins of costs are not a
 its costs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 
 import numpy as np

@@ -8,8 +8,6 @@ The box of an instance is the bounding box of its pixels, its truth the median o
 of the box. (Menze & Geiger, "Object scene flow for autonomous vehicles", CVPR 2015.)
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Frame: the image of one camera, or of two synchronised cameras, at one time."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Protocol

@@ -6,8 +6,6 @@ another one than that of K, the principal point shows it: centred in images of W
     resized:  f' = f w / W        cropped:  f' = f
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import NamedTuple

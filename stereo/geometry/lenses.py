@@ -5,8 +5,6 @@ X = (x, y, z)  --distort-->  m = (m_x, m_y),    u = f_x m_x + c_x,    v = f_y m_
 A new model is a `Lens` and a member of `LENSES`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -8,8 +8,6 @@ towards the edges a pinhole stretches the image by 1 / cos^2, which limits a use
 Wider lenses need several virtual pinholes with axes in other directions.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -6,8 +6,6 @@ sgbm-3way, sgbm-5way, sgbm-hh, sgbm-hh4     dense matching with other aggregatio
 NAME-centre                                 a dense matcher, sampled at the centre pixel of the box (Guo Pengyu)
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass

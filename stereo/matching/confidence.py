@@ -1,7 +1,5 @@
 """Match confidence: margins between a surface's cost and those of a chance match and the second best disparity."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

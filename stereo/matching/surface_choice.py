@@ -8,8 +8,6 @@ occluder is in front, narrow, and too near for the size of the box; the backgrou
 object surrounds its occluder, so that it is seen on both sides.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -15,8 +15,6 @@ The curvature has the prior N(0, (c d)^2): cars are rounded, but few windows do 
 at the box's centre, also of a car seen obliquely.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

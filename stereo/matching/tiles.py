@@ -9,8 +9,6 @@
 +---+---+---+---+     Arrays are (rows, columns, boxes): each numpy operation runs over all boxes.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple

@@ -17,8 +17,6 @@ of absolute differences is linear on both sides of the minimum (Shimizu & Okutom
 steps P1 bias it to whole pixels.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -8,8 +8,6 @@ H is the median over the frames so far; its uncertainty is the spread over the r
 and an error that all frames share: the speed's, and the slope of the road.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

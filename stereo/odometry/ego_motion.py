@@ -1,7 +1,5 @@
 """Motion of the camera: EgoMotion, its speed and yaw rate; CameraStep, with images; Odometry measures it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Protocol

@@ -17,8 +17,6 @@ slope of the shifts over the distances measures the horizon, whatever the height
 An error of the camera height is an equal relative error of the speed. The road is taken to be plane up to 15 m.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

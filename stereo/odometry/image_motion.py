@@ -12,8 +12,6 @@ its place in the image, as if the road did not turn. With the rotation removed, 
 by (p' - e) = (1 + g) (R p - e); the expansion is the median of g per second, the forward speed over a typical depth.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

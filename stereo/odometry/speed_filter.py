@@ -6,8 +6,6 @@ A mean speed over dt is the speed dt / 2 ago, so the result is predicted by dt /
 independent part, which averages out, and a systematic one, which is added at the output.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -16,8 +16,6 @@ r"""StereoOdometry: motion of a rectified pair from corners with disparities, on
 The static scene is assumed to have the most corners outside the boxes.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

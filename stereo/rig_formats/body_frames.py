@@ -7,8 +7,6 @@
 The cameras are read as blocks of Kalibr. (projects.asl.ethz.ch, kmavvisualinertialdatasets; VINS-Fusion, config/.)
 """
 
-from __future__ import annotations
-
 import contextlib
 import re
 from functools import partial

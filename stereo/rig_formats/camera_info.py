@@ -5,8 +5,6 @@ P = [K' | K' t'],  x' = R x,  t' = (-baseline, 0, 0) for the right camera
 x = point in the camera's frame, x' = in its rectified frame (http://docs.ros.org/en/api/sensor_msgs/html/msg/CameraInfo.html).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -13,8 +13,6 @@ IntelRealSense/librealsense, tools/enumerate-devices.)
 
 # ruff: noqa: N815 - names of values are keys of the file
 
-from __future__ import annotations
-
 import math
 import re
 from collections import defaultdict

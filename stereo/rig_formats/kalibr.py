@@ -15,8 +15,6 @@ Files for other programs, such as OpenVINS's, begin with OpenCV's `%YAML:1.0` an
 its inverse T_imu_cam instead of T_cn_cnm1. (github.com/ethz-asl/kalibr, wiki: Supported models, YAML formats.)
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from typing import Annotated, Any, NamedTuple

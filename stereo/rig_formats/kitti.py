@@ -13,8 +13,6 @@ lines of 12 numbers without names. The raw set's calib_cam_to_cam.txt has rectif
 (Geiger et al., Vision meets Robotics: The KITTI Dataset, IJRR 2013, and the readme of the raw set.)
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import replace

@@ -8,8 +8,6 @@ R and T are checked with the rest of the file: the right camera is to the right,
 (OpenCV, calib3d: stereoCalibrate and stereoRectify; MathWorks: stereoParameters, cameraIntrinsicsToOpenCV.)
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence

@@ -9,8 +9,6 @@ memory on damaged JSON, and does not return from some base64 data. A camera with
 stereo_calib always writes them, and distances would be wrong if a distorted camera were treated as an ideal one.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Reading camera calibrations from files: a new format is a module with a RigFormat, and an entry of `RIG_FORMATS`."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 from pathlib import Path

@@ -1,7 +1,5 @@
 """RigFormat: a file format of camera calibrations, one row of `reading.RIG_FORMATS`."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Callable, Sequence

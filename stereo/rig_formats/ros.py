@@ -9,8 +9,6 @@ The right camera of a pair is the one with the smaller P[0, 3] = -f B. The image
 (http://docs.ros.org/en/api/sensor_msgs/html/msg/CameraInfo.html, http://wiki.ros.org/camera_calibration_parsers.)
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Annotated, NamedTuple

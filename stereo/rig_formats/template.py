@@ -1,7 +1,5 @@
 """A rig.yaml with what could be read of any calibration, and blanks for what is missing."""
 
-from __future__ import annotations
-
 import contextlib
 from pathlib import Path
 

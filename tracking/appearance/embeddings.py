@@ -8,8 +8,6 @@ is Bhattacharyya's coefficient of the histograms (as in RootSIFT, Arandjelovic a
 embeddings of tracks are kept in `track_range.tracking.appearance.gallery`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

@@ -6,8 +6,6 @@ Resizing does not keep the aspect ratio. Mean and standard deviation are ImageNe
 torchreid and FastReID train. Crops are processed in batches.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

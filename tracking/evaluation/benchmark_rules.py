@@ -13,8 +13,6 @@ in KITTI's development kit and of MOTChallenge; TrackEval implements them in `ki
 `mot_challenge_2d_box.py`.)
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Detection of boxes whose frame numbers are shifted, mostly by one: the commonest error of converters of labels."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from track_range.detection.boxes import iou

@@ -5,8 +5,6 @@ Both use the boxes that count under the benchmark's rules (`benchmark_rules`), a
 2008.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

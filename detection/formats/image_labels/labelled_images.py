@@ -8,8 +8,6 @@ YOLO and COCO labels use the corner convention (the image's left edge is 0); hal
 centres are at integers. KITTI labels are used without change (`detection.formats.video_labels.kitti`).
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

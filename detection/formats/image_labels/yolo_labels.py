@@ -4,8 +4,6 @@ A line is `class cx cy w h` with an optional score, or a polygon `class x1 y1 x2
 bounding box.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -15,8 +15,6 @@ outside are left out. (Lin et al., "Microsoft COCO", ECCV 2014, and https://coco
 "TAO", ECCV 2020, for videos.)
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping

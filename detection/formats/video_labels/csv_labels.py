@@ -16,8 +16,6 @@ simulation's truth.csv has this format; measurements of a lidar or radar can be 
 The last three may be empty or nan if unknown; an unknown visible fraction is 1.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

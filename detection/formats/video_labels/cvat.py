@@ -20,8 +20,6 @@ the box, and to 2 % of the distance, so that a person has fewer boxes to correct
 format", version 1.1; the interpolation is that of CVAT's `TrackManager`.)
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence

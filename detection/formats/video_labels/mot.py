@@ -8,8 +8,6 @@ semicolons, spaces or tabs; `#` starts a comment. Written files count from 1, wh
 have 2 decimals, so an edge that is read back is accurate to 0.01 px.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """MOTChallenge, KITTI, label CSV, tracks.csv and tracks.parquet as `BoxTable`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -15,8 +15,6 @@ whose edges are the first and last pixel. Frames are given by number, or by the 
     UA-DETRAC      Wen et al., CVIU 2020, frames from 1
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence

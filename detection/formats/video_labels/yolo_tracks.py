@@ -10,8 +10,6 @@ and the identity that Ultralytics' `save_txt` appends: six or seven columns, the
 Ultralytics numbers the frames of a video from 1, without zeros in front (NAME_1.txt). (https://docs.ultralytics.com/datasets/detect)
 """
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Sequence

@@ -21,8 +21,6 @@ unchanged. Known distances and the prior of f separate the two. The covariance i
 approximation). Standard deviations are those at the parameters of the fit before, so that they do not attract it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -18,8 +18,6 @@ askew, and shapes that are not cuboids, affect all boxes of a drive alike: the l
 `_SHAPE_SIGMA`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ Pickles are never loaded, archives never unpacked beyond the sizes of calibratio
 chessboard corners) are left out.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

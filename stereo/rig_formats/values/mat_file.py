@@ -8,8 +8,6 @@ Objects such as `stereoParameters` are saved as structs in a nested file, the la
 element and the depth are limited, and no array is larger than the bytes of the file.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 import zlib

@@ -1,7 +1,5 @@
 """Files that complete a calibration: intrinsics and extrinsics, and those of the left and of the right camera."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import Path
