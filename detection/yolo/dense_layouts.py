@@ -208,12 +208,13 @@ def levels_apart(network: NetworkOutputs) -> Iterator[YoloModel]:
             continue
         is_apart, n_levels, name = number < _N_APART, kind.n_levels[0], kind.names
         family, code, form = _READINGS[name]
-        levels = []
+        levels, n_of_strides = [], 0
         for stride in STRIDES_PX[n_levels - 3]:
             cells = GridCells.of(network.input_hw, (stride,), is_rounded_up=True)
             of_stride = [
                 i for i, s in enumerate(shapes) if (s[1] if n_dimensions == 3 else s[2] * s[3]) == len(cells.stride_px)
             ]
+            n_of_strides += len(of_stride)
             parts = _parts_of(network, of_stride, kind, is_apart=is_apart)
             if parts is not None:
                 boxes, scores, objectness = parts
@@ -221,7 +222,7 @@ def levels_apart(network: NetworkOutputs) -> Iterator[YoloModel]:
                 levels.append(
                     BoxRows(boxes=boxes, scores=scores, objectness=objectness, code=code_of, cell_px=cells.points_px())
                 )
-        if len(levels) != n_levels or not n_levels <= len(shapes) <= n_levels * 3:
+        if len(levels) != n_levels or n_of_strides != len(shapes):
             continue
         score_parts = [level.scores for level in levels]
         widths = {
