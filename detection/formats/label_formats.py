@@ -110,16 +110,6 @@ def is_label_folder(path: Path) -> bool:
     return os.path.isdir(path) and label_format_of(path).name != "kitti"
 
 
-def read_titles() -> str:
-    """Titles of the formats that are read, in words."""
-    return ", ".join(label_format.title for label_format in _FORMATS)
-
-
-def general_titles() -> str:
-    """Titles of the formats of labels that are read as ground truth of a run, too, in words."""
-    return ", ".join(label_format.title for label_format in _FORMATS if label_format.is_general)
-
-
 def is_blank(path: Path, expected: str) -> bool:
     """Whether a file has no text in its first 64 kB; False for folders and Parquet files."""
     if os.path.isdir(path) or _starts_as_parquet(path, expected):

@@ -13,6 +13,7 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.box_table import BoxTable, VideoFacts
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import LABEL_FORMATS, label_format_of, read_labels
+from track_range.detection.formats.titles import GENERAL_TITLES, READ_TITLES
 
 VIDEO = VideoFacts("drive", n_frames=40, size_px=(1242, 375), fps=10.0)
 WRITTEN = [name for name, label_format in LABEL_FORMATS.items() if label_format.write is not None]
@@ -202,3 +203,9 @@ def test_columns_have_one_value_for_each_box() -> None:
     with pytest.raises(ValueError, match="reshape"):
         BoxTable.of([0, 1], [0, 1], ["car", "bus"], np.ones((2, 4)), score=[0.5])
     assert BoxTable.of([0, 1], [0, 1], ["car", "bus"], np.ones((2, 4)), score=0.5).score.tolist() == [0.5, 0.5]
+
+
+def test_titles_of_help_pages():
+    formats = LABEL_FORMATS.values()
+    assert ", ".join(form.title for form in formats) == READ_TITLES
+    assert ", ".join(form.title for form in formats if form.is_general) == GENERAL_TITLES

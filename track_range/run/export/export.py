@@ -17,7 +17,8 @@ import numpy as np
 from track_range.detection.classes import map_to_road_classes
 from track_range.detection.formats.box_table import BoxTable, Written, frames_listed, image_name
 from track_range.detection.formats.errors import LabelFileError
-from track_range.detection.formats.label_formats import LABEL_FORMATS, LabelFormat, label_format_of, read_titles
+from track_range.detection.formats.label_formats import LABEL_FORMATS, LabelFormat, label_format_of
+from track_range.detection.formats.titles import READ_TITLES
 from track_range.detection.formats.video_labels.yolo_tracks import DATA_YAML, WRITTEN_MARK
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.atomic_files import atomic_path, writable, write_bytes
@@ -60,7 +61,7 @@ class ExportSettings(Options):
     source: Annotated[
         Path,
         option(
-            f"Result folder of a run, or labels: {read_titles()}.",
+            f"Result folder of a run, or labels: {READ_TITLES}.",
             metavar="RUN|LABELS",
             is_argument=True,
         ),

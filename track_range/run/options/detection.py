@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import model_validator
 
-from track_range.detection.formats.label_formats import read_titles
+from track_range.detection.formats.titles import READ_TITLES
 from track_range.foundation.errors import UsageError
 from track_range.foundation.options import Options, option
 
@@ -127,7 +127,7 @@ class DetectionOptions(Options):
     detections: Annotated[
         Path | None,
         option(
-            f"Recorded boxes instead of a detector, in a file or folder of {read_titles()}.",
+            f"Recorded boxes instead of a detector, in a file or folder of {READ_TITLES}.",
             is_per_clip=True,
             instead="recorded detections belong to a clip; give them in the column detections of a manifest",
         ),

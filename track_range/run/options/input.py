@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import field_serializer, field_validator
 
-from track_range.detection.formats.label_formats import general_titles
+from track_range.detection.formats.titles import GENERAL_TITLES
 from track_range.foundation.errors import ConfigError
 from track_range.foundation.options import Options, option
 from track_range.recording.names import Bayer, LayoutOption, Segments, VideoName, video_name
@@ -160,7 +160,7 @@ class InputOptions(Options):
         _clip_option(
             "Ground truth to measure the errors against: KITTI tracking labels, or a CSV with the columns "
             "frame, id, class, x1, y1, x2, y2, distance_m and optionally visible_share, closing_mps (other columns "
-            f"are ignored); or labels with track ids: {general_titles()}.",
+            f"are ignored); or labels with track ids: {GENERAL_TITLES}.",
             instead="ground truth belongs to a clip; give it in the column truth of a manifest",
         ),
     ] = None
