@@ -72,7 +72,7 @@ def on_video_clock(track: TelemetryTrack, part: VideoPart) -> tuple[TelemetryTra
         advice = (
             ": another day, or another drive."
             if not zones
-            else (f"; if the video's is local time, give --start-utc as {_text(starts_s[0] - zones[0])}.")
+            else (f"; if the time of the video is local, give --start-utc as {_text(starts_s[0] - zones[0])}.")
         )
         raise TelemetryError(
             f"its times, {_text(float(track.time_s[0]))} to {_text(float(track.time_s[-1]))}, are not those of the "

@@ -140,7 +140,7 @@ def test_one_value_per_row(tmp_path):
 
 
 REFUSED = {
-    "one component": (EPOCH | {"velocity_east (m/s)": cells(V)}, "velocity_east"),
+    "one component": (EPOCH | {"velocity_east (m/s)": cells(V)}, "only the component 'velocity_east .* add the other"),
     "only a lead car": (EPOCH | {"lead_speed_kmh": cells(V)}, None),
     "two that differ": (EPOCH | {"speed_a_kmh": cells(V), "speed_b_kmh": cells(3 * V)}, "which differ"),
     "no unit, no positions": (EPOCH | {"speed": cells(V)}, "expected a unit"),
@@ -300,7 +300,7 @@ def test_a_named_file_of_another_drive(tmp_path):
     path.write_text(table({"time_s": cells(T)} | POSITIONS | {"speed_mps": cells(V)}))
     assert not _is_table(path)  # its speeds are compared with its positions
     path.write_text(table(EPOCH | {"speed_mps": cells(V)}))
-    with pytest.raises(TelemetryError, match="local time, give --start-utc as 2026-05-03 10:00:00"):
+    with pytest.raises(TelemetryError, match="is local, give --start-utc as 2026-05-03 10:00:00"):
         named_telemetry(path, [part(duration_s=50.0, start_s=START_S + 7200, source="--start-utc")])
 
 

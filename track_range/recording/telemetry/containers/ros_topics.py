@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -70,19 +72,13 @@ def _position(message: Any) -> tuple[float, float]:
 
 def _values(bag: Bag, topic: Topic, read: Callable[[Any], tuple[float, ...]]) -> tuple[FloatArray, FloatArray]:
     """(N,) times in s since 1970, and (N, K) values of the readable messages of a topic."""
-    times_s: list[float] = []
-    values: list[tuple[float, ...]] = []
-    if is_readable(topic):
-        for _, recorded_s, data in bag.messages(topic.name, 0.0):
-            try:
-                message = message_reader(topic)(data)
-                value = read(message)
-                times_s.append(stamp_s(message) or recorded_s)
-            except Exception as error:  # protobuf's and rosbags' errors derive from Exception
-                if isinstance(error, DamagedError):
-                    break
-                continue
-            values.append(value)
-            if len(values) >= MAX_SAMPLES:
-                break
-    return np.array(times_s), np.array(values).reshape(len(values), -1) if values else np.empty((0, 2))
+    rows: list[tuple[float, ...]] = []
+    with suppress(DamagedError):  # the schema: no message can be read
+        parse = message_reader(topic)
+        messages = bag.messages(topic.name, 0.0) if is_readable(topic) else ()
+        for _, recorded_s, data in islice(messages, MAX_SAMPLES):
+            with suppress(Exception):  # protobuf's and rosbags' errors derive from Exception
+                message = parse(data)
+                rows.append((stamp_s(message) or recorded_s, *read(message)))
+    values = np.array(rows) if rows else np.empty((0, 3))
+    return values[:, 0], values[:, 1:]

@@ -101,9 +101,9 @@ def read_csv(path: Path) -> TelemetryTrack | None:
     if not speeds:
         if positions is not None:
             return positions
-        incomplete = " and ".join(repr(name) for name in _components(table))
-        present = f"only {incomplete}, of which it is not the length" if incomplete else "fewer"
-        raise TelemetryError(f"{path}: expected speeds, or at least two positions, found {shortened(present)}.")
+        components = " and ".join(repr(name) for name in _components(table))
+        present = f"only the component {components} of the velocity; add the other ones" if components else "fewer"
+        raise TelemetryError(f"{path}: expected speeds, or at least two positions, found {shortened(present, 120)}.")
     chosen, unit, note = _chosen(path, speeds, positions, time_s)
     course = _columns(table, _COURSE)
     course_deg = table.numbers(course[0]) if course else np.full(len(table), np.nan)
@@ -122,7 +122,7 @@ def _chosen(
         if not math.isnan(ratio.median) and ratio.scatter <= _MAX_SCATTER:
             unit = unit_of_ratio(ratio.median, _UNIT_TOLERANCE)
             shown |= {column.name: unit} if unit is not None else {}
-    agreeing = [column for column in speeds if shown.get(column.name, "") in (column.unit, *MPS_PER_UNIT)]
+    agreeing = [column for column in speeds if column.name in shown]
     agreeing.sort(key=lambda column: column.unit not in (None, shown[column.name]))  # as stated before converted
     stated = [column for column in speeds if column.unit is not None]
     others = {column.name for column in speeds}
