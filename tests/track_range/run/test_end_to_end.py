@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -56,6 +57,15 @@ def simulated_run(drive, track_range, tmp_path_factory):
 def n_frames_of(video):
     with av.open(str(video)) as container:
         return sum(1 for _ in container.decode(video=0))
+
+
+def n_playable_frames_of(video):
+    """Frames before the first damaged one: a kill may stop the kernel within the write of the last fragment."""
+    n = 0
+    with av.open(str(video)) as container, suppress(av.error.InvalidDataError):
+        for _ in container.decode(video=0):
+            n += 1
+    return n
 
 
 def test_all_files_are_complete(simulated_run):
@@ -217,17 +227,16 @@ def test_stopped_run_keeps_its_frames(long_drive, tmp_path, number):
         process.kill()
     columns = read_tracks_csv(out / "tracks.csv")
     assert 40 <= columns["frame"].max() < len(list(long_drive.left.iterdir())) - 1
-    n_overlay = n_frames_of(out / "overlay.mp4")
     if number == signal.SIGKILL:
         assert process.returncode == -signal.SIGKILL
-        assert columns["frame"].max() + 1 - n_overlay <= 5
+        assert columns["frame"].max() + 1 - n_playable_frames_of(out / "overlay.mp4") <= 5
         assert "killed" in describe_progress(out)
         return
     assert process.returncode == 1
     assert stderr.count("\n") == 1
     assert stderr.startswith("track-range: stopped by the user")
     summary = json.loads((out / "summary.json").read_text())
-    assert summary["frames"] == n_overlay == columns["frame"].max() + 1
+    assert summary["frames"] == n_frames_of(out / "overlay.mp4") == columns["frame"].max() + 1
     assert (out / "report.html").is_file()
 
 
