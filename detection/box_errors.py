@@ -35,7 +35,7 @@ COCO_BOX_ERRORS: Mapping[str, BoxErrors] = {
     "PicoDet": {"car": BoxError(-0.02, 0.045, 0.01, 0.045)},
 }
 """By family, of small networks trained with COCO (YOLOv5n, YOLOX-nano, NanoDet-m, PicoDet-s) on 5 road drives; see
-docs/detectors.md."""
+docs/how-to/detectors.md."""
 
 
 _EXPECTED = (

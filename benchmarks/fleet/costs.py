@@ -1,4 +1,4 @@
-"""Time and cost of a fleet at a number of nodes, from figures of one core; the tables of docs/fleet.md.
+"""Time and cost of a fleet at a number of nodes, from figures of one core; the tables of docs/how-to/fleet.md.
 
 compute  T_c = (3600 H f t + C o) / (N k)       H hours of video, f frames/s, t s per frame and core
 storage  T_s = 3600 H b / min(N r, R)           b MB per second of video, r and R MB/s of a node and of the storage
@@ -52,7 +52,7 @@ ASSUMED: Mapping[str, float] = {
 NODES = (1, 10, 100, 1000)
 
 BEGIN, END = "<!-- fleet costs: written by `python -m benchmarks fleet --docs` -->", "<!-- end of fleet costs -->"
-"""Lines around the tables in docs/fleet.md."""
+"""Lines around the tables in docs/how-to/fleet.md."""
 
 
 def times_s(inputs: Mapping[str, float], n_nodes: int, cameras: str, *, has_gpu: bool = False) -> dict[str, float]:

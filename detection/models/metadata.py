@@ -11,7 +11,7 @@ family's default is used. All sources use the same keys:
     size       longer side in pixels of an input of variable size
     area       number of pixels of an input of variable size, instead of `size`
     end2end    whether Ultralytics' exporter included the suppression
-    layout     name of the layout of the outputs (docs/detectors.md)
+    layout     name of the layout of the outputs (docs/how-to/detectors.md)
     kpt_shape  keypoints of a box in a pose network: their number, and values of each
     head       class of the head in Ultralytics' metadata, such as RTDETRDecoder
     box_errors systematic errors of the box sizes, by class (`detection.box_errors`)

@@ -1,8 +1,8 @@
 """Layouts of networks that return boxes for the cells of grids and leave the suppression to the caller.
 
-`_READINGS` lists what their numbers may mean, the tables after it the shapes of the outputs (docs/detectors.md shows
-both). Sources: the heads of the projects that the readings are named after. The centre of NanoDet's, PicoDet's and
-YOLOv8's cells is (i + 1/2) stride, NanoDet-Plus's and RTMDet's i stride.
+`_READINGS` lists what their numbers may mean, the tables after it the shapes of the outputs (docs/how-to/detectors.md
+shows both). Sources: the heads of the projects that the readings are named after. The centre of NanoDet's, PicoDet's
+and YOLOv8's cells is (i + 1/2) stride, NanoDet-Plus's and RTMDet's i stride.
 """
 
 from collections.abc import Callable, Iterator, Sequence

@@ -1,4 +1,4 @@
-"""Layouts of networks that return one box per object, without non-maximum suppression (docs/detectors.md lists them).
+"""Layouts of networks that return one box per object, without suppression (docs/how-to/detectors.md lists them).
 
 The outputs are recognised by shape and type, since RF-DETR calls its logits `labels`; names decide only if two shapes
 are the same. (Carion et al., "End-to-End Object Detection with Transformers", 2020; Wang et al., "YOLOv10", 2024; Peng

@@ -113,7 +113,7 @@ class FirstImages:
                 f"{self.path}: its outputs, read as {reading.name} ({reading.layout}), give boxes that are too small, "
                 f"beyond the image or of the whole image ({self._n_garbage} of {self._n_strong} on the first images); "
                 "choose another reading with --layout (Python: layout; `track-range models info` lists them), or "
-                "export the network again (docs/detectors.md)."
+                "export the network again (docs/how-to/detectors.md)."
             )
 
 

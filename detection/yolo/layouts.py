@@ -20,7 +20,7 @@ from track_range.foundation.files.input_files import quoted, shortened
 
 _DEFAULT_NAMES = {80: ("COCO", COCO_CLASSES), 20: ("VOC", VOC_CLASSES), 91: ("COCO", COCO_CATEGORIES)}
 """Class list by number of classes, for networks without class names."""
-_EXPORT_HINT = "export with batch size 1 and without postprocessing (docs/detectors.md)"
+_EXPORT_HINT = "export with batch size 1 and without postprocessing (docs/how-to/detectors.md)"
 
 DETECTOR_LAYOUTS: tuple[tuple[str, Callable[[NetworkOutputs], Iterator[YoloModel]], str], ...] = (
     ("RF-DETR", end_to_end.logits_and_boxes, "detr"),

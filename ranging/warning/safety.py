@@ -1,4 +1,4 @@
-"""SafetyMeasures: surrogate measures of safety of tracks, with one definition each (docs/warnings.md has the sources).
+"""SafetyMeasures: surrogate measures of safety, with one definition each (sources: docs/concepts/warnings.md).
 
     gap          g = d - f                     from the front of the ego vehicle, f ahead of the camera
     headway      g / V                         V: ego speed (the "time gap" of SAE J2944)

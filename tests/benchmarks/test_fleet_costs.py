@@ -19,7 +19,7 @@ from benchmarks.fleet.costs import (
     times_s,
 )
 
-PAGE = Path(__file__).resolve().parents[2] / "docs/fleet.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs/how-to/fleet.md"
 
 MEASURED = {
     "stereo_ms": 100.0,

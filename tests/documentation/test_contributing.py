@@ -72,5 +72,5 @@ def test_rig_format_example(tmp_path, monkeypatch):
 
 
 def test_documentation_has_the_same_examples():
-    pages = (PROJECT / "docs/extending.md").read_text(encoding="utf-8")
+    pages = (PROJECT / "docs/project/extending.md").read_text(encoding="utf-8")
     assert [name for name in re.findall(r"^class (\w+)", TEXT, flags=re.M) if f"class {name}" not in pages] == []

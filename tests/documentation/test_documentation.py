@@ -102,47 +102,54 @@ def test_extras_exist():
 
 
 def test_columns_are_documented():
-    table = PAGES["docs/results.md"].partition("## tracks.csv")[2].partition("\n## ")[0]
+    table = PAGES["docs/reference/results.md"].partition("## tracks.csv")[2].partition("\n## ")[0]
     rows = re.findall(r"^\| `(\w+)` \| ([^|]*)\|", table, re.MULTILINE)
     assert [(name, unit.strip()) for name, unit in rows] == [(column.name, column.unit) for column in result_columns()]
 
 
 def test_event_columns_are_documented():
-    table = PAGES["docs/results.md"].partition("## events.csv")[2].partition("\n## ")[0]
+    table = PAGES["docs/reference/results.md"].partition("## events.csv")[2].partition("\n## ")[0]
     assert tuple(re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)) == EVENT_COLUMNS
     assert [kind for kind in EVENT_KINDS if f"`{kind}`" not in table] == []
 
 
 def test_result_files_are_documented():
-    assert [name for name in result_names() if f"`{name}`" not in PAGES["docs/results.md"]] == []
+    assert [name for name in result_names() if f"`{name}`" not in PAGES["docs/reference/results.md"]] == []
 
 
 def test_summary_keys_are_documented():
-    section = PAGES["docs/results.md"].partition("## summary.json")[2].partition("\n## ")[0]
+    section = PAGES["docs/reference/results.md"].partition("## summary.json")[2].partition("\n## ")[0]
     missing = [key for key in _SUMMARY.model_fields if key != "settings" and f"`{key}`" not in section]
     assert missing == []
 
 
 def test_public_names_are_documented():
-    shown = set(re.findall(r"^::: track_range\.(\w+)$", PAGES["docs/api.md"], re.MULTILINE))
+    shown = set(re.findall(r"^::: track_range\.(\w+)$", PAGES["docs/reference/api.md"], re.MULTILINE))
     assert shown == set(tr.__all__) - {"__version__"}
 
 
 def test_methods_are_documented():
-    headings = re.findall(r"^## (\w+)", PAGES["docs/methods.md"], re.MULTILINE)
+    headings = re.findall(r"^## (\w+)", PAGES["docs/concepts/methods.md"], re.MULTILINE)
     assert [method.name for method in tr.ranging_methods() if method.name not in headings] == []
 
 
 def test_glossary_has_the_terms():
-    terms = re.findall(r"^(\S.*)\n: ", PAGES["docs/glossary.md"], re.MULTILINE)
+    terms = re.findall(r"^(\S.*)\n: ", PAGES["docs/concepts/glossary.md"], re.MULTILINE)
     assert [term for term in GLOSSARY if term not in terms] == []
     assert terms == sorted(terms, key=lambda term: term.strip("`*_").casefold())
+
+
+def paths(entries):
+    """Paths of the pages of an entry of the navigation, which is a path, or a list of entries."""
+    if isinstance(entries, str):
+        return [entries]
+    return [path for entry in entries for below in entry.values() for path in paths(below)]
 
 
 def test_navigation_has_every_page():
     # Tags of Python objects are not needed here.
     text = re.sub(r"!!python/\S+", "", (PROJECT / "mkdocs.yml").read_text())
-    pages = [page for entry in yaml.safe_load(text)["nav"] for page in entry.values()]
+    pages = [page for group in yaml.safe_load(text)["nav"] for entries in group.values() for page in paths(entries)]
     assert sorted(f"docs/{page}" for page in pages) == [page for page in PAGES if page.startswith("docs/")]
 
 
@@ -154,6 +161,6 @@ def test_pages_load_nothing_from_the_network():
 
 
 def test_rig_file_of_the_page_loads(tmp_path):
-    (code,) = re.findall(r"```yaml\n(track_range_rig.*?)```", PAGES["docs/camera.md"], re.DOTALL)
+    (code,) = re.findall(r"```yaml\n(track_range_rig.*?)```", PAGES["docs/start/camera.md"], re.DOTALL)
     (tmp_path / "rig.yaml").write_text(code)
     assert tr.load_rig(tmp_path / "rig.yaml").baseline_m == pytest.approx(0.54)

@@ -80,11 +80,11 @@ def test_readme_example_runs(capsys):
 
 @pytest.mark.usefixtures("recording")
 def test_parts_example_runs(capsys):
-    run_code(python_blocks(PAGES["docs/api.md"])[1], "api.md")
+    run_code(python_blocks(PAGES["docs/reference/api.md"])[1], "api.md")
     assert len(capsys.readouterr().out.splitlines()) > 5
 
 
 @pytest.mark.usefixtures("recording")
 def test_detector_example_runs():
-    (code,) = (code for code in python_blocks(PAGES["docs/extending.md"]) if "def detect" in code)
+    (code,) = (code for code in python_blocks(PAGES["docs/project/extending.md"]) if "def detect" in code)
     run_code(code + "assert next(iter(run)).index == 0\nrun.close()\n", "extending.md")

@@ -1,6 +1,7 @@
 """The rooms of the package, what passes through each, and the imports that are allowed between them.
 
-`python -m tests.repository.rooms` prints the table of docs/architecture.md and the number of imports between rooms.
+`python -m tests.repository.rooms` prints the table of docs/project/architecture.md and the number of imports between
+rooms.
 """
 
 from __future__ import annotations
@@ -71,7 +72,7 @@ FRONT_DOOR = {"track_range", "track_range.__main__"}
 
 
 def table() -> str:
-    """Markdown table of the rooms, for docs/architecture.md."""
+    """Markdown table of the rooms, for docs/project/architecture.md."""
     rows = [f"| `{name}` | {room.passes} | {room.words} |" for name, room in ROOMS.items()]
     return "\n".join(["| room | input -> output | may import |", "|---|---|---|", *rows])
 

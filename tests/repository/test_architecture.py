@@ -97,7 +97,7 @@ def test_forbidden_imports_and_cycles_are_seen():
 
 
 def test_documented_table_is_the_tested_one():
-    assert rooms.table() in (PROJECT / "docs/architecture.md").read_text(encoding="utf-8")
+    assert rooms.table() in (PROJECT / "docs/project/architecture.md").read_text(encoding="utf-8")
 
 
 def test_nothing_imports_tests_or_benchmarks():

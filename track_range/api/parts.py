@@ -86,7 +86,7 @@ class Detector:
             anchors: anchors of raw YOLO heads, "81,82 135,169 344,319 / 23,27 ..."; None = those in the model file.
             letterbox: placement of the image and grey level of the padding, such as "centred-114"; None = that of the
                 network family.
-            layout: name of the layout of the network's outputs (docs/detectors.md); None = by their shapes and values.
+            layout: name of the layout of the outputs (docs/how-to/detectors.md); None = by their shapes and values.
             min_score: minimum confidence of boxes: 0.25, or "0.1,car=0.3".
             size: longer side of the network input in px, for a network of variable input size.
             threads: CPU threads of the network; 0 = one per core.

@@ -1,7 +1,7 @@
 """Provenance: software, model, calibration and settings that results were made with; stored in the result files.
 
-`foundation.schema_version.SCHEMA_VERSION` is the version of all result files of a run together: docs/schema.md lists
-what it promises.
+`foundation.schema_version.SCHEMA_VERSION` is the version of all result files of a run: docs/reference/schema.md
+lists what it promises.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ DEFAULT_FIELD_SIGMA = 0.3  # relative, of the focal length: 50 degrees is a fact
 _FIELDS_DEG = 150.0, 20.0  # largest and smallest horizontal field of view of the grid
 _N_GRID = 97  # number of points of the grid
 _VIEWS_PER_TRACK = 2.0  # number of independent views that the views of one object count as at most
-_SHAPE_SIGMA = 0.12  # of log f that all boxes of a drive share; that of KITTI's labels, see docs/accuracy.md
+_SHAPE_SIGMA = 0.12  # of log f that all boxes of a drive share; that of KITTI's labels, see docs/concepts/accuracy.md
 _RELATIVE_NOISE = (0.01, 0.03, 0.06, 0.1, 0.15, 0.2)  # candidates of the noise of box edges / box size
 
 _ATTENUATION, _UNATTENUATED = 2.9, 0.02

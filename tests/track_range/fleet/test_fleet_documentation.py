@@ -1,4 +1,4 @@
-"""docs/fleet.md: its queries give the figures of the report, and its manifests are valid."""
+"""docs/how-to/fleet.md: its queries give the figures of the report, and its manifests are valid."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from track_range.fleet.output.record import ClipRecord
 from track_range.fleet.report.fleet_figures import fleet_figures
 from track_range.fleet.storage.location import Location
 
-PAGE = PAGES["docs/fleet.md"]
+PAGE = PAGES["docs/how-to/fleet.md"]
 EXAMPLES = PROJECT / "docs/examples"
 
 

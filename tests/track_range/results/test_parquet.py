@@ -266,7 +266,7 @@ def test_rows_written_after_the_iteration(tmp_path: Path, inputs) -> None:  # no
     assert tables[0].equals(tables[1])
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/results.md"])
+@pytest.mark.parametrize("page", ["README.md", "docs/reference/results.md"])
 def test_documented_queries(run_file: Path, page: str) -> None:
     """The DuckDB and pandas lines of the documentation give the closest approach of each track."""
     blocks = [code for code in python_blocks(PAGES[page]) if "closest_m" in code or "groupby" in code]

@@ -49,7 +49,7 @@ BY_TIME = "object of a warning: that of a contact of the same class with its num
 
 
 def evaluate_events(settings: EventEvaluationSettings) -> dict[str, Any]:
-    """Results as plain values for JSON; see docs/events.md for the keys.
+    """Results as plain values for JSON; see docs/concepts/events.md for the keys.
 
     Raises EventFileError, OutputError, LabelFileError: a file cannot be read.
     """

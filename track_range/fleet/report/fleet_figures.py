@@ -98,7 +98,7 @@ def event_video(row: Mapping[str, Any]) -> str:
 class FleetFigures:
     """Figures of a fleet and, by name, what links to the ranked clips need."""
 
-    figures: Figures  # as in the JSON file (docs/fleet.md)
+    figures: Figures  # as in the JSON file (docs/how-to/fleet.md)
     files: Mapping[str, tuple[str, ...]]  # published files
     starts_s: Mapping[str, float]  # time of the first frame of the overlay
 

@@ -43,8 +43,8 @@ LetterboxField = Annotated[
 LayoutField = Annotated[
     str | None,
     option(
-        "Name of the layout of the network's outputs, such as yolov8; see docs/detectors.md (default: by their shapes "
-        "and values).",
+        "Name of the layout of the network's outputs, such as yolov8; see docs/how-to/detectors.md (default: by their "
+        "shapes and values).",
         metavar="NAME",
     ),
 ]

@@ -14,7 +14,7 @@ _Data = Annotated[
     Path,
     option(
         "Data set in YOLO's format (keys path, train, val, names), or with KITTI labels (`format: kitti`); optional "
-        "keys manifest and labels_pseudo for images with incomplete labels (docs/detectors.md).",
+        "keys manifest and labels_pseudo for images with incomplete labels (docs/how-to/detectors.md).",
         metavar="data.yaml",
         panel=_DATA,
     ),
@@ -160,7 +160,7 @@ class PseudoLabelOptions(Options):
         Path,
         option(
             "Data set in YOLO's format, usually with a manifest of the classes that are completely labelled in each "
-            "image; detections in its labels_pseudo are combined with the detectors (docs/detectors.md).",
+            "image; detections in its labels_pseudo are combined with the detectors (docs/how-to/detectors.md).",
             metavar="data.yaml",
         ),
     ]
