@@ -65,6 +65,7 @@ class Recording:
     monitors: tuple[Monitor, ...]  # the checks of a pair that continue while its frames are iterated
     layout_notes: tuple[str, ...] = ()  # about images of two cameras in one recording
     start_utc: UtcStart | None = None  # UTC of the first frame as given by the user; None = that of the video
+    every: int = 1  # each how many frames of the videos are frames of the recording
 
     @property
     def videos(self) -> tuple[Video, ...]:
@@ -94,12 +95,13 @@ class Recording:
     @property
     def fps(self) -> float:
         """Nominal frame rate."""
-        return self.videos[0].fps
+        return self.videos[0].fps / self.every
 
     @property
     def n_frames(self) -> int | None:
         """Estimated number of frames; None = unknown."""
-        return self.videos[0].n_frames
+        n_frames = self.videos[0].n_frames
+        return None if n_frames is None else math.ceil(n_frames / self.every)
 
     @property
     def n_total(self) -> int | None:
@@ -164,6 +166,7 @@ def open_recording(
     align: str | Path | Alignment = "auto",
     start_s: float = 0.0,
     duration_s: float | None = None,
+    every: int = 1,
     folder_fps: float = 10.0,
     has_checks: bool = True,
     start_utc: str | None = None,
@@ -190,6 +193,7 @@ def open_recording(
             "off", an alignment file, or an alignment.
         start_s: start of the part to read, in seconds after the left video's first frame.
         duration_s: length of the part to read; None = to the end.
+        every: N = each N-th frame is read; the checks of a recorded pair have all frames.
         folder_fps: frame rate of folders of images without timestamps.txt.
         has_checks: whether calibrated pairs are checked for swapped, misaligned or unsynchronised videos, and frames
             that lag are re-paired.
@@ -227,7 +231,8 @@ def open_recording(
 
     def opened(name: VideoName, beside: Video | None = None) -> Video:
         if isinstance(name, LiveAddress):
-            return LiveVideo(name, start_s=start_s, duration_s=duration_s)
+            # right frames are chosen by their partner
+            return LiveVideo(name, start_s=start_s, duration_s=duration_s, every=every if beside is None else 1)
         return recorded(name, left=beside if isinstance(beside, RecordedVideo) else None)
 
     with ExitStack() as on_error:
@@ -265,7 +270,8 @@ def open_recording(
                 calibration = calibration.with_row_offset(check.row_offset_px)
                 monitors = _sync_monitors(source)
         on_error.pop_all()
-    return Recording(_frames(source, calibration, monitors, utc), source, calibration, monitors, layout_notes, utc)
+    frames = _frames(source, calibration, monitors, utc, every)
+    return Recording(frames, source, calibration, monitors, layout_notes, utc, every)
 
 
 def _paired(left: Video, right: Video) -> RecordedPair | LivePair:
@@ -367,13 +373,18 @@ def _first_frames(
 
 
 def _frames(
-    source: Video | PairedVideos, calibration: RecordingCalibration, monitors: tuple[Monitor, ...], utc: UtcStart | None
+    source: Video | PairedVideos,
+    calibration: RecordingCalibration,
+    monitors: tuple[Monitor, ...],
+    utc: UtcStart | None,
+    every: int,
 ) -> Generator[Frame, None, None]:
-    """All frames, each passed to the monitors; closing the generator closes the videos."""
+    """Each `every`-th frame, after all were passed to the monitors; closing the generator closes the videos."""
     video = source.left if isinstance(source, VideoPair) else source
     sync = next((monitor for monitor in monitors if isinstance(monitor, SyncMonitor)), None)
     check = next((monitor for monitor in monitors if isinstance(monitor, PairMonitor)), None)
     explained, has_stereo = None if check is None else check.finding, True
+    due_index = -1
     with closing(source), closing(iter(source)) as images:
         pairs = (image if isinstance(image, tuple) else (image, None) for image in images)
         frames = (calibration.frame(left, right, video.first_time_s, utc or video.utc) for left, right in pairs)
@@ -384,4 +395,6 @@ def _frames(
             if check is not None and check.finding is not explained and check.finding is not None:
                 check.finding = explained = check.finding.uncorrected(LATER)
                 has_stereo = explained.has_stereo
-            yield frame if has_stereo else replace(frame, right=None)
+            if frame.index >= due_index:
+                due_index = frame.index + every
+                yield frame if has_stereo else replace(frame, right=None)

@@ -58,9 +58,9 @@ def _all(kind: Any, names: str) -> dict[str, Any]:
 
 _HEALTH = _section(**_all(Text, "state sentence move_sentence unseen"), distances=list[_RigDistance])
 _SUMMARY = _section(
-    **_all(Figure, "schema_version frames starts_s wall_s frames_per_s focal_px focal_sigma baseline_m"),
+    **_all(Figure, "schema_version frames frames_dropped starts_s wall_s frames_per_s focal_px focal_sigma baseline_m"),
     **_all(Text, "settings_hash truth calibration region"),
-    **_all(dict[str, Figure], "stages_ms closing stereo_unmatched stereo_surfaces"),
+    **_all(dict[str, Figure], "stages_ms latency_ms closing stereo_unmatched stereo_surfaces"),
     **_all(dict[str, _Method], "methods common"),
     **_all(dict[str, Any], "inputs settings versions"),
     files=dict[str, Text],

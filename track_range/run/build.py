@@ -51,6 +51,7 @@ def open_input(settings: RunSettings, progress: StepProgress = no_progress, rig:
         align=settings.align,
         start_s=settings.start_s,
         duration_s=settings.duration_s,
+        every=settings.every,
         folder_fps=settings.folder_fps,
         bayer=settings.bayer,
         start_utc=settings.start_utc,

@@ -55,6 +55,8 @@ class RunKeywords(PipelineKeywords, total=False):
     start_s: float | None
     duration: float | None
     duration_s: float | None
+    every: int | None
+    realtime: bool | None
     folder_fps: float | None
     bayer: Literal["rggb", "bggr", "gbrg", "grbg"] | None
     start_utc: str | None

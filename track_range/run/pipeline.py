@@ -8,6 +8,8 @@ Nothing is read ahead: the alignment of a pair is estimated while the frames com
 from __future__ import annotations
 
 import math
+import time
+from collections import deque
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
@@ -26,6 +28,7 @@ from track_range.foundation.errors import ConfigError, UsageError, UserError
 from track_range.foundation.keywords import KeywordsInErrors
 from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.pipeline.frame_result import FrameResult
+from track_range.pipeline.throughput import latency_ms
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.world.ego_speed import MAX_SPEED_MPS, TABLE_SIGMA_MPS
 from track_range.recording.cameras.calibration import LensView, RecordingCalibration, calibration_of
@@ -58,6 +61,10 @@ if TYPE_CHECKING:
     from track_range.run.option_types import PipelineKeywords
 
 Cameras = str | Path | StereoRig | PinholeCamera  # a calibration file, or the models of the cameras
+
+
+_N_LATENCIES = 1000  # latest frames of which the latency is stated
+_SAME_CLOCK_S = 10.0  # largest difference between a frame's time and a clock of this machine that is that of the images
 
 
 class FrameError(UserError, ValueError):
@@ -119,6 +126,7 @@ class Pipeline:
         self._rows = RecentRows(keep_s, EventFinder(options.event_settings))
         self._opened: _Opened | None = None
         self._index, self._first_s, self._last_s = 0, math.nan, -math.inf
+        self._latencies_s: deque[float] = deque(maxlen=_N_LATENCIES)
 
     @classmethod
     @KeywordsInErrors(RunSettings)
@@ -197,6 +205,14 @@ class Pipeline:
         return None if self._opened is None else self._opened.next_calibration
 
     @property
+    def latency_ms(self) -> dict[str, float]:
+        """`p50`, `p95` and `max` of the latencies of the last 1,000 frames in ms; empty before the first one.
+
+        From the time of the images to the result if `time_s` is of `time.monotonic` or `time.time`, else from the call.
+        """
+        return latency_ms(self._latencies_s)
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """Messages for the user about the detector, the calibration, the pair and the methods so far."""
         boxes = self._boxes.notes()
@@ -224,6 +240,7 @@ class Pipeline:
 
     @KeywordsInErrors(RunSettings)
     def _step(self, images: Mapping[str, Any], time_s: float, ego_speed_mps: float | None) -> FrameResult:
+        called_s = time.monotonic(), time.time()
         if self._is_closed:
             raise UsageError("this pipeline is closed; make another one for further frames.")
         checked = {name: _checked(image, name, is_left=name != "right") for name, image in images.items()}
@@ -245,6 +262,8 @@ class Pipeline:
         self._opened, self._first_s, self._last_s = opened, first_s, time_s
         self._index += 1
         self._rows.add(result)
+        waited_s = next((now_s - time_s for now_s in called_s if abs(now_s - time_s) < _SAME_CLOCK_S), 0.0)
+        self._latencies_s.append(max(waited_s, 0.0) + time.monotonic() - called_s[0])
         return result
 
     def _open(self, sizes_px: tuple[tuple[int, int], ...]) -> _Opened:

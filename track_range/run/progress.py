@@ -11,22 +11,26 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 
 @contextmanager
-def frame_progress(console: Console, n_frames: int | None) -> Iterator[Callable[[], None]]:
-    """Progress bar with frames, rate and remaining time (on a terminal); yields a callable that advances it."""
+def frame_progress(console: Console, n_frames: int | None) -> Iterator[Callable[..., None]]:
+    """Progress bar with frames, rate and remaining time (on a terminal).
+
+    Yields a callable that advances it; its argument is a text to show beside it.
+    """
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
         TextColumn("{task.fields[fps]:.1f} fps"),
         TimeRemainingColumn(),
+        TextColumn("{task.fields[status]}"),
     )
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
-        task = progress.add_task("frames", total=n_frames, fps=0.0)
+        task = progress.add_task("frames", total=n_frames, fps=0.0, status="")
         start_s = time.perf_counter()
 
-        def advance() -> None:
+        def advance(status: str = "") -> None:
             n = int(progress.tasks[0].completed) + 1
-            progress.update(task, completed=n, fps=n / max(time.perf_counter() - start_s, 1e-9))
+            progress.update(task, completed=n, fps=n / max(time.perf_counter() - start_s, 1e-9), status=status)
 
         yield advance
 

@@ -232,7 +232,7 @@ class Run:
                             session.findings.add(result)
                             with defer_interrupts():
                                 output.write(result, session.rows.add)
-                            advance()
+                            advance(session.meter.status)
                             yield result
                     output.finish_videos()
                 except (GeneratorExit, KeyboardInterrupt, Exception) as error:

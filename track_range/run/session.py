@@ -23,7 +23,7 @@ from track_range.foundation.progress import StepProgress
 from track_range.foundation.schema_version import SCHEMA_VERSION
 from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.threads import LIVE_DEPTHS, run_in_threads
-from track_range.pipeline.throughput import FrameMeter
+from track_range.pipeline.throughput import FrameMeter, PacedFrames
 from track_range.ranging.evaluation.truth import read_truth
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.region import Region, region_at
@@ -132,7 +132,10 @@ class RunSession:
             )
             on_error.pop_all()
         self.rows = RunRows(fps=self.recording.fps, finder=EventFinder(settings.event_settings))
-        self.meter = FrameMeter(self.recording.live)
+        self._paced: PacedFrames | None = None
+        if settings.realtime and self.recording.live is None:
+            self._paced = PacedFrames(self.recording.frames, 1 / (self.recording.fps or settings.folder_fps))
+        self.meter = FrameMeter(self.recording.live or self._paced, every=settings.every)
         self.findings = Findings()
 
     def _estimate_focal_length(self, size_model: SizeModel, progress: StepProgress) -> None:
@@ -157,9 +160,14 @@ class RunSession:
     @contextmanager
     def results(self) -> Generator[Generator[FrameResult, None, None], None, None]:
         """Context with the results of all frames, anonymized if requested; its end stops the threads."""
-        is_live = self.recording.live is not None
+        frames, paced = self.recording.frames, self._paced
+        is_live = self.recording.live is not None or paced is not None
         depths = LIVE_DEPTHS if is_live else None
-        with closing(run_in_threads(self.pipeline, self.recording.frames, depths)) as results:
+        with ExitStack() as stack:
+            results = run_in_threads(self.pipeline, frames if paced is None else iter(paced), depths)
+            stack.enter_context(closing(results))
+            if paced is not None:
+                stack.callback(paced.stop)
             if not self.settings.anonymize:
                 yield results
                 return
@@ -301,6 +309,7 @@ class RunSession:
             "wall_s": round(self.wall_s, 3),
             "frames_per_s": round(n_frames / self.wall_s, 3) if self.wall_s > 0 else None,
             "stages_ms": stage_times_ms(busy_s, n_frames),
+            **self.meter.summary(),
             **range_scores(columns, matched, rows.methods),
             "tracks": track_scores(columns, self.truth, np.array(rows.frame_index, np.int64)),
             "events": events_section(rows.events, rows.seconds),

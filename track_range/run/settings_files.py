@@ -19,7 +19,7 @@ from track_range.foundation.files.structured_text import read_yaml, yaml_text
 from track_range.foundation.options import Options, is_file, option_of, value_type
 from track_range.foundation.schema_version import SCHEMA_VERSION
 from track_range.foundation.validation import first_problem
-from track_range.recording.live.address import live_address
+from track_range.recording.live.address import LiveAddress, live_address
 from track_range.recording.names import VideoName, files_of
 from track_range.results.provenance import settings_hash
 from track_range.run.options.detection import DetectionOptions
@@ -165,6 +165,8 @@ def unused_options(settings: RunSettings) -> tuple[str, ...]:
     notes = []
     if settings.mono is not None and settings.align not in ("auto", "off"):
         notes.append("--align is not used with one camera.")
+    if settings.realtime and any(isinstance(video, LiveAddress) for video in settings.videos):
+        notes.append("--realtime is not used with cameras and streams, whose images come at their pace.")
     optional = (name for name, field in DetectionOptions.model_fields.items() if field.default is None)
     of_detector = [name for name in optional if name not in ("detector", "detections")]
     given = [RunSettings.flag(name) for name in of_detector if getattr(settings, name) is not None]

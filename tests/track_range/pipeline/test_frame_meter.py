@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Generator
 from dataclasses import dataclass
 
 import numpy as np
 
 from tests.track_range.views.overlay_results import result
-from track_range.pipeline.throughput import FrameMeter
+from track_range.pipeline.throughput import FrameMeter, PacedFrames, latency_ms
+from track_range.stereo.geometry.frames import Frame
 
 
 @dataclass
@@ -46,3 +49,55 @@ def test_live_run_reports_latency_and_drops() -> None:
     (note,) = meter.notes
     assert "200 ms" in note
     assert "250 ms" in note
+    assert meter.summary() == {"latency_ms": {"p50": 200.0, "p95": 245.0, "max": 250.0}, "frames_dropped": 2}
+    assert meter.status == "latency 200 ms, p95 245 ms, 2 dropped"
+
+
+def test_frames_that_are_not_wanted_are_not_dropped() -> None:
+    frames = [(0, 0.0), (3, 0.1), (9, 0.3)]
+    meter = FrameMeter(Camera(0.0), every=3)
+    for index, time_s in frames:
+        meter.add(result([], index=index, time_s=time_s))
+    assert meter.n_dropped == 1
+    assert FrameMeter().summary() == {}
+    assert latency_ms([]) == {}
+
+
+def paced(n_frames: int, interval_s: float) -> PacedFrames:
+    def frames() -> Generator[Frame, None, None]:
+        for number in range(n_frames):
+            yield result([], index=number, time_s=2.0 + number * interval_s).frame
+
+    return PacedFrames(frames(), interval_s)
+
+
+def test_no_frame_before_its_time() -> None:
+    source = paced(5, 0.01)
+    for frame in source:
+        assert time.monotonic() - source.first_time_s >= frame.time_s - 1e-6
+
+
+def test_frames_that_a_newer_one_replaced_are_dropped() -> None:
+    source, seen = paced(30, 0.005), []
+    for frame in source:
+        seen.append(frame.index)
+        if frame.index == 0:
+            time.sleep(0.05)
+    assert seen[0] == 0
+    assert seen[1] >= 9
+    assert source.n_dropped == 30 - len(seen)
+
+
+def test_frames_that_are_always_late_are_not_all_dropped() -> None:
+    """Decoding takes longer than the interval: one frame per second is passed on all the same."""
+    source = paced(2, 1e-9)
+    source.first_time_s = time.monotonic() - 100.0
+    assert [frame.index for frame in source] == [0]
+
+
+def test_a_stopped_wait_ends_the_frames() -> None:
+    source = paced(2, 1000.0)
+    frames = iter(source)
+    next(frames)
+    source.stop()
+    assert list(frames) == []

@@ -60,6 +60,16 @@ def test_slow_reader_gets_the_newest_frame() -> None:
     assert f"{n_received - 2} dropped" in note
 
 
+def test_each_third_frame() -> None:
+    with cameras(1) as (camera,):
+        reader = LiveVideo(LiveAddress(camera.url), every=3)
+        index = [frame.index for frame in itertools.islice(reader, 3)]
+    assert all(number % 3 == 0 for number in index)
+    assert sorted(set(index)) == index
+    n_wanted = -(-reader.n_received // 3)
+    assert reader.notes == () if n_wanted == 3 else f"{n_wanted - 3} dropped" in reader.notes[0]
+
+
 def test_stream_is_read_to_its_end() -> None:
     with cameras(1, 120) as (camera,):
         reader = LiveVideo(LiveAddress(camera.url))

@@ -68,6 +68,7 @@ class LiveVideo:
     """An open camera or stream, read once: the iteration starts with the newest frame and closes the connection.
 
     The part to read begins after `start_s` and lasts `duration_s`; None = until the stream ends or the run is stopped.
+    Of `every` N, each N-th frame is used.
 
     `n_received` frames were decoded so far, `n_taken` passed to the consumer; `ended_by` is FFmpeg's message if the
     connection was lost, `has_ended` whether the source ended the stream normally. Attributes that are not described
@@ -83,8 +84,10 @@ class LiveVideo:
     tracks_px: tuple[tuple[int, int], ...] = ()
     stated_layout: StereoLayout | None = None
 
-    def __init__(self, address: LiveAddress, *, start_s: float = 0.0, duration_s: float | None = None) -> None:
-        self.path = address
+    def __init__(
+        self, address: LiveAddress, *, start_s: float = 0.0, duration_s: float | None = None, every: int = 1
+    ) -> None:
+        self.path, self._every = address, every
         self._start_s, self._duration_s = start_s, math.inf if duration_s is None else duration_s
         self.clock = StreamClock()
         self.n_received = self.n_taken = 0
@@ -125,11 +128,13 @@ class LiveVideo:
         """Messages for the user; empty until the reading has ended."""
         if not self.is_closed:
             return ()
-        n_dropped, received, notes = self.n_received - self.n_taken, counted(self.n_received, "frame"), []
+        n_dropped = -(-self.n_received // self._every) - self.n_taken
+        received, notes = counted(self.n_received, "frame"), []
         if self.has_ended:
             notes.append(f"{self.path}: the source ended the stream after {received}.")
         if n_dropped:
             processed = f"{received} received, {self.n_taken} processed, {n_dropped} dropped (busy or unpaired)"
+            processed += "" if self._every == 1 else f", the others left out by --every {self._every}"
             notes.append(f"{self.path}: {processed}.")
         return tuple(notes)
 
@@ -236,7 +241,7 @@ class LiveVideo:
         stamp_s = None if frame.pts is None or frame.time_base is None else float(frame.pts * frame.time_base)
         index, self.n_received = self.n_received, self.n_received + 1
         time_s = self.clock.time_s(stamp_s, time.monotonic())
-        if time_s is None or frame.is_corrupt:
+        if time_s is None or frame.is_corrupt or index % self._every:
             return
         with self._lock:
             self._waiting.append((index, time_s, frame))

@@ -124,6 +124,24 @@ class InputOptions(Options):
             "Length of the run in seconds (default: to the end of the video).", flag="--duration", metavar="S", gt=0
         ),
     ] = None
+    every: Annotated[
+        int,
+        option(
+            "Processing of each N-th frame only; time steps are those of the frames that are processed.",
+            metavar="N",
+            ge=1,
+            le=1000,
+            is_shared=True,
+        ),
+    ] = 1
+    realtime: Annotated[
+        bool,
+        option(
+            "Frames of a file at the pace of a camera: none before its time, and those are dropped for which the "
+            "machine is too slow.",
+            instead="clips of a fleet are recordings, which are processed as fast as possible",
+        ),
+    ] = False
     folder_fps: Annotated[
         float,
         _clip_option("Frame rate of folders of images, which have no timestamps.", metavar="FPS", ge=0.01, le=1000),
