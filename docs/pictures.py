@@ -22,7 +22,7 @@ import numpy as np
 import pyarrow.csv
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Polygon, Rectangle
+from matplotlib.patches import Circle, Polygon, Rectangle
 from playwright.sync_api import sync_playwright
 
 import track_range as tr
@@ -209,6 +209,36 @@ def filtered() -> None:
     speed.set(xlabel="time, s", ylabel="closing speed, m/s")
     speed.legend(fontsize=8)
     _save(figure, "filtered.svg")
+
+
+def distance() -> None:
+    """What the columns of distance mean: z from the camera to the surface, and the gap from the bumper."""
+    figure = Figure((8.4, 2.5))
+    scene = figure.subplots()
+    scene.set(xlim=(-3.4, 17.2), ylim=(-1.95, 2.9), aspect="equal")
+    scene.axis("off")
+    scene.plot([-3.4, 17.2], [0, 0], color=FAINT, lw=2)
+    for x, colour in ((-3.0, "#c9d6e8"), (12.0, ROAD)):  # a body of 4.5 m, seen from its left side
+        body = [(0, 0.3), (0, 1.0), (0.5, 1.45), (2.6, 1.45), (3.4, 0.95), (4.4, 0.8), (4.5, 0.3)]
+        scene.add_patch(Polygon([(x + dx, y) for dx, y in body], color=colour, lw=0))
+        for wheel in (0.9, 3.6):
+            scene.add_patch(Circle((x + wheel, 0.32), 0.32, color=INK, lw=0))
+    scene.add_patch(Rectangle((11.95, 0.0), 4.6, 1.5, fill=False, color=COLOUR["fused"], lw=1.6))
+    scene.text(14.25, 1.62, "box of the detector", ha="center", color=COLOUR["fused"])
+    scene.plot([0, 12.0], [1.3, 0.72], color=COLOUR["fused"], lw=1.2)
+    scene.plot([12.0], [0.72], "o", color=COLOUR["fused"], ms=5)
+    scene.text(
+        11.7, 0.28, "first surface on the ray through the box's centre", ha="right", fontsize=8, color=COLOUR["fused"]
+    )
+    scene.plot([0], [1.3], "s", color=INK, ms=6)
+    scene.text(0, 2.5, "camera", ha="center")
+    scene.plot([0, 0], [2.4, 1.45], color=FAINT, lw=0.8)
+    for x in (0, 1.5, 12.0):
+        scene.plot([x, x], [0, -1.75], color=FAINT, lw=0.8, ls="--")
+    _arrow(scene, (0, -0.62), (12.0, -0.62), "distance: z along the camera's axis (fused_m, fused_kf_m)", (6.9, -0.5))
+    _arrow(scene, (0, -1.5), (1.5, -1.5), "1.5 m", (0.75, -1.38))
+    _arrow(scene, (1.5, -1.5), (12.0, -1.5), "gap: from the front bumper (gap_m)", (6.9, -1.38))
+    _save(figure, "distance.svg")
 
 
 # -- frames of the simulation -----------------------------------------------------------------------------------------
@@ -409,6 +439,7 @@ PICTURES: dict[str, Callable[[], None]] = {
         lane,
         stereo,
         alignment,
+        distance,
         fused,
         filtered,
         overlay,

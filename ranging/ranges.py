@@ -28,8 +28,9 @@ class Ranges:
         sigma_systematic_m: (N,) systematic part of sigma_m, constant over a track; None = unknown.
         details: (N,) further values by the names in `RangingMethod.details`; NaN = none.
         growth: (N,) growth of the tracks in the images, for the filters of all methods; None = not measured.
-        is_fallback: whether the method is the fallback that it declares to be (`RangingMethod.fallback_for`) also in
-            this frame; False = it did not need the other method.
+        is_fallback: whether fusion leaves the distances out where the other method measured
+            (`RangingMethod.fallback_for`, without which it has no effect); False = in this frame they are independent
+            of the other method, and are fused too.
     """
 
     track_id: IntArray

@@ -59,6 +59,18 @@ def test_command_exists(page, line):
     assert {word for word in rest if OPTION.fullmatch(word)} <= options_of(command) | {"--help"}
 
 
+def test_help_of_fleets_names_no_refused_option():
+    _, command, _ = command_of("track-range fleet run recordings/")
+    taken = {option for parameter in command.params if not parameter.hidden for option in parameter.opts}
+    named = {
+        option
+        for parameter in command.params
+        if not parameter.hidden
+        for option in OPTION.findall(parameter.help or "")
+    }
+    assert named <= taken
+
+
 @pytest.mark.parametrize("page", PAGES)
 def test_options_in_text_exist(page, known_options):
     comments = [line.partition("#")[2] for block in blocks(PAGES[page]) for line in block]

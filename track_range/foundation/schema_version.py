@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-SCHEMA_VERSION = 1  # of result files; increased when a column, key or unit changes its meaning or is removed
+SCHEMA_VERSION = 2  # of result files; increased when a column, key or unit changes its meaning or is removed
 METADATA_PREFIX = "track_range."  # of keys in the metadata of files, so that they differ from other programs'
 _MAX_DIGITS = 9  # number of digits to which a version is read; longer ones are newer in any case
 

@@ -40,6 +40,7 @@ SAFETY_UNITS: Mapping[str, str] = {  # unit of the columns of `SafetyMeasures` t
     "lane_index": "",
     "lane_index_sigma": "",
 }
+_DISTANCES = ("mono", "ground", "lane", "stereo", "sgbm", "fused", "mono_kf", "stereo_kf", "fused_kf")
 TEXT_COLUMNS = ("class", "state")  # columns of names, "" = unknown; all others are numbers
 
 _TYPES = {"whole": np.int64, "number": np.float64, "flag": np.bool_, "name": np.int8}
@@ -89,14 +90,12 @@ def result_columns() -> tuple[ResultColumn, ...]:
             ResultColumn(f"{edge}_px", "px", _axis("tracks.xyxy_px", i))
             for i, edge in enumerate(("x1", "y1", "x2", "y2"))
         ),
-        *(_of_method(name, part) for name in ("mono", "lane", "stereo", "sgbm", "fused") for part in ("m", "sigma_m")),
-        ResultColumn("closing_mps", "m/s", attrgetter("closing_mps")),
-        ResultColumn("ttc_s", "s", attrgetter("ttc_s")),
-        *(_of_method(name, "m") for name in ("mono_kf", "stereo_kf", "fused_kf", "ground")),
+        *(_of_method(name, part) for name in _DISTANCES for part in ("m", "sigma_m")),
         ResultColumn("x_m", "m", _axis("xyz_m", 0)),
         ResultColumn("y_m", "m", _axis("xyz_m", 1)),
-        *(_of_method(name, "sigma_m") for name in ("mono_kf", "stereo_kf", "fused_kf", "ground")),
+        ResultColumn("closing_mps", "m/s", attrgetter("closing_mps")),
         ResultColumn("closing_sigma_mps", "m/s", attrgetter("closing_sigma_mps")),
+        ResultColumn("ttc_s", "s", attrgetter("ttc_s")),
         ResultColumn("ttc_sigma_s", "s", attrgetter("ttc_sigma_s")),
         ResultColumn("utc", "s", _of_frame("utc_s"), decimals=6),
         ResultColumn("ego_mps", "m/s", _of_frame("ego_mps")),

@@ -28,6 +28,7 @@ from tests.track_range.results.test_results import result
 from tests.track_range.run.test_write_failures import file_size_limit, inputs  # noqa: F401
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.output_files import OutputError
+from track_range.foundation.schema_version import SCHEMA_VERSION
 from track_range.results.formats.mcap import LAYOUT
 from track_range.results.formats.scene import VEHICLE_FROM_CAMERA_XYZW, track_objects
 from track_range.results.replay import frames_of_rows
@@ -318,7 +319,7 @@ def test_provenance_and_index(tmp_path: Path) -> None:
     with write(tmp_path, info(), 25).open("rb") as file:
         reader = make_reader(file)
         (metadata,) = reader.iter_metadata()
-        assert metadata.metadata["track_range.schema_version"] == "1"
+        assert metadata.metadata["track_range.schema_version"] == str(SCHEMA_VERSION)
         summary = reader.get_summary()
         assert summary.statistics.message_count == 6 * 25 + 1
         assert 2 <= len(summary.chunk_indexes) <= 5

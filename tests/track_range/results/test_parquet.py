@@ -188,7 +188,7 @@ def test_rows_as_labels(run_file: Path) -> None:
     settings = TrackEvaluationSettings(truth=truth, results=run_file, road_class="car")
     assert evaluate_tracks(settings)["combined"]["hota"] == pytest.approx(100)
     table = parquet.read_table(run_file)
-    newer = {**table.schema.metadata, b"track_range.schema_version": b"2"}
+    newer = {**table.schema.metadata, b"track_range.schema_version": b"3"}
     parquet.write_table(table.replace_schema_metadata(newer), run_file)
     with pytest.raises(LabelFileError, match=r"tracks\.parquet: .*schema_version"):
         read_detections(run_file)

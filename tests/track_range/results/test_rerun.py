@@ -24,6 +24,7 @@ from track_range.foundation.errors import UserError
 from track_range.foundation.files.folder_lock import locked_folder
 from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.library_telemetry import VIEWER_VARIABLES
+from track_range.foundation.schema_version import SCHEMA_VERSION
 from track_range.results.formats.scene import track_objects
 from track_range.results.writers import OpenWriters, create_writers
 
@@ -100,7 +101,9 @@ def test_stores_and_provenance(tmp_path: Path) -> None:
     assert len(reader.blueprints()) == 1
     rows = rows_of(path)
     (entity,) = (name for name in rows if name.endswith("provenance"))
-    assert ["1"] in [value for row in rows[entity] for name, value in row.items() if "schema_version" in name]
+    assert [str(SCHEMA_VERSION)] in [
+        value for row in rows[entity] for name, value in row.items() if "schema_version" in name
+    ]
     assert rows["/distance/track_3"][-1]["time"].timestamp() == pytest.approx(START_S + 0.3, abs=1e-3)
 
 

@@ -14,6 +14,11 @@ from track_range.run.settings import RunSettings
 if TYPE_CHECKING:
     from track_range.fleet.inputs.clip import Clip
 
+_IN_HELP = {  # words of the help texts of a run, and what they are in a fleet, which has no --mono and --stereo
+    "With --mono": "For a clip of one camera",
+    "With one recording": "For a clip in one recording",
+    "one for --mono, two for --stereo BAG": "one for one camera, two for a pair",
+}
 _MAX_NAME, _MAX_NAMED = 20, 10  # characters of the name of a failed clip, and number of such clips that are named
 
 
@@ -95,9 +100,12 @@ def _parameters() -> list[Parameter]:
     names = {parameter.name for parameter in own}
     shared = [parameter for parameter in parameters(RunSettings, is_only_given=True) if parameter.name not in names]
     for parameter in shared:
+        declared = parameter.annotation.__metadata__[0]
         field = RunSettings.model_fields.get(parameter.name)
         if field is not None and option_of(field).instead:
-            parameter.annotation.__metadata__[0].hidden = True
+            declared.hidden = True
+        for words, own_words in _IN_HELP.items():
+            declared.help = (declared.help or "").replace(words, own_words)
     return [*own, *shared]
 
 
