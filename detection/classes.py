@@ -11,6 +11,7 @@ from track_range.foundation.errors import UserError
 
 ROAD_CLASSES = ("person", "bicycle", "car", "motorcycle", "bus", "truck", "traffic light", "traffic sign")
 """Names of the road classes; the index in this tuple is the `class_id` of detections and tracks."""
+STATIC_CLASSES = ("traffic light", "traffic sign")  # classes that are not road users
 
 # fmt: off
 _SYNONYMS = {

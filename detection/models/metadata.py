@@ -34,6 +34,7 @@ from track_range.detection.yolo.input_format import placement_and_grey
 from track_range.foundation.files.input_files import MAX_TEXT_BYTES, quoted, shortened
 from track_range.foundation.files.structured_text import parse_json, read_yaml
 
+FROM_METADATA = "from the model's metadata"  # source of an attribute
 _MAX_REASON = 160  # characters of the description of an invalid value
 Anchors = tuple[tuple[tuple[float, float], ...], ...]  # (width, height) in input px, by head
 
@@ -83,7 +84,7 @@ def read_metadata(path: Path, metadata: Mapping[str, str], options: ModelOptions
             attributes[key] = Attribute(_parsed(parse, option_values[key], f"--{key}"), "as specified")
         elif key in metadata:
             place = f"{path}: metadata '{key}'"
-            attributes[key] = Attribute(_parsed(parse, _literal(metadata[key]), place), "from the model's metadata")
+            attributes[key] = Attribute(_parsed(parse, _literal(metadata[key]), place), FROM_METADATA)
         elif key in (sidecar_values or {}):
             source = f"from {sidecar.name}"
             attributes[key] = Attribute(_parsed(parse, sidecar_values[key], f"{sidecar}: '{key}'"), source)

@@ -29,7 +29,7 @@ from track_range.detection.boxes import are_valid_boxes, nms
 from track_range.detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP, map_to_road_classes
 from track_range.detection.detections import Detections
 from track_range.detection.detector import MAX_IOU
-from track_range.detection.models.metadata import Attribute, ModelMetadata, ModelOptions, read_metadata
+from track_range.detection.models.metadata import FROM_METADATA, Attribute, ModelMetadata, ModelOptions, read_metadata
 from track_range.detection.models.onnx_session import BoundNetwork, ModelError, OnnxSession, Runtime
 from track_range.detection.yolo.decoders import Candidates
 from track_range.detection.yolo.first_images import N_IMAGES, FirstImages
@@ -191,7 +191,10 @@ class YoloDetector:
     def notes(self) -> tuple[str, ...]:
         """Notes for the user on the model and on dropped boxes."""
         name, first = self._session.path.name, self._first_images
-        notes = [*self._session.notes, f"Class names of {name}: {self.model.attributes['names'].source}."]
+        source = self.model.attributes["names"].source
+        notes = [*self._session.notes]
+        if source != FROM_METADATA:
+            notes.append(f"Class names of {name}: {source}.")
         if self.model.name != self.readings[0].name:
             notes.append(f"The outputs of {name} are read as {self.model.name} ({self.model.layout}): {self.why}.")
         if self.model.note:

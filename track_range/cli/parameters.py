@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from inspect import Parameter, Signature
+from itertools import takewhile
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
@@ -11,6 +12,7 @@ import typer
 from annotated_types import Ge, Le
 from pydantic.fields import FieldInfo
 
+from track_range.cli.bare_recordings import refuse_expanded
 from track_range.cli.lazy import HelpCommand
 from track_range.foundation.options import Options, choices_of, is_list, option_of, value_type
 
@@ -23,7 +25,13 @@ class PairCommand(HelpCommand):
     """Command with the option --stereo, which takes one or two values: one is the recording of both cameras."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the command line with --stereo as its parameter takes it; see `_split_pairs`."""
+        """Parse the command line with --stereo as its parameter takes it; see `_split_pairs`.
+
+        UsageError: more files than --mono or --stereo takes, as after a pattern that was not quoted.
+        """
+        for option, most in (("--mono", 1), ("--stereo", 2)):
+            after = args[args.index(option) + 1 :] if option in args else []
+            refuse_expanded(option, [*takewhile(lambda value: not value.startswith("-"), after)], most)
         stereo = next(parameter for parameter in self.params if parameter.name == "stereo")
         return super().parse_args(ctx, _split_pairs(args, is_single=stereo.nargs == 1))
 

@@ -23,6 +23,7 @@ from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.files.structured_text import read_json, read_yaml
 from track_range.foundation.validation import Number, PositiveNumber, validated
 from track_range.ranging.evaluation.truth import Truth, read_truth
+from track_range.results.approaches import closest_approaches
 from track_range.results.columns import (
     TEXT_COLUMNS,
     Columns,
@@ -258,6 +259,7 @@ class _Reader:
             "frames": last - first + 1,
             **range_scores(columns, matched, methods),
             "tracks": track_scores(columns, truth, labelled[(labelled >= first) & (labelled <= last)]),
+            "closest_approaches": closest_approaches(columns),
             "truth": truth.protocol if truth is not None else None,
             "inputs": inputs,
             "files": {"overlay": "overlay.mp4"} if self.settings.get("overlay", True) else {},

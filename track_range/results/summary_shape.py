@@ -40,6 +40,11 @@ class _RigDistance(_Figures):
     distance_m: Number
 
 
+class _Approach(_Figures):
+    track_id: Number
+    road_class: Annotated[str, Field(strict=True, alias="class")]
+
+
 class _LearntScale(_Figures):
     n_tracks: Number
     baseline_m: Number
@@ -70,6 +75,7 @@ _SUMMARY = _section(
     tracks=_section(_Figures, classes=list[Text] | None) | None,
     events=_section(**_all(Figure, "n hours"), by_kind=dict[str, Figure], worst=dict[str, Any] | None) | None,
     alignment=_section(_Figures, source=Text, is_applied=Any, health=_HEALTH | None) | None,
+    closest_approaches=list[_Approach],
     learnt_scale=_LearntScale | None,
     synchronisation=list[dict[str, Any]] | None,
     scale_doubt=_section(**_all(Figure, "factor sigma n_objects"), causes=dict[str, Figure], evidence=Text) | None,

@@ -36,6 +36,9 @@ from track_range.run.session import RunSession
 from track_range.run.settings import RunSettings
 from track_range.run.settings_files import options_and_objects, settings_from
 from track_range.views.overlay.result_video import Draw
+from track_range.views.report.outcome import html_table, user_grid
+
+_MOST_SHOWN = 10  # road users in the representation in notebooks, the nearest ones
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -377,7 +380,8 @@ class Run:
             f"<tr><th>{html.escape(name)}</th><td>{html.escape(text)}</td></tr>"
             for name, text in _headline_figures(self._summary)
         )
-        return f"<p><b>track-range run</b> of {title}</p><table>{rows}</table>"
+        nearest = html_table(user_grid(self._summary["closest_approaches"], _MOST_SHOWN))
+        return f"<p><b>track-range run</b> of {title}</p><table>{rows}</table>{nearest}"
 
 
 def _video(name: str | Path | Sequence[str | Path]) -> str | list[str]:

@@ -32,6 +32,7 @@ from track_range.recording.live.address import LiveAddress
 from track_range.recording.telemetry.positions import has_position
 from track_range.recording.telemetry.speed_source import AUTO, open_speed
 from track_range.recording.telemetry.track import TelemetryTrack
+from track_range.results.approaches import closest_approaches
 from track_range.results.columns import Columns, boxes_px
 from track_range.results.events.finder import EventFinder
 from track_range.results.progress_note import LOADING
@@ -312,6 +313,7 @@ class RunSession:
             **self.meter.summary(),
             **range_scores(columns, matched, rows.methods),
             "tracks": track_scores(columns, self.truth, np.array(rows.frame_index, np.int64)),
+            "closest_approaches": closest_approaches(columns),
             "events": events_section(rows.events, rows.seconds),
             "calibration": calibration.kind,
             "focal_px": recording.camera.fx_px,

@@ -6,29 +6,21 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from track_range.cli.commands.run import run_and_print
-from track_range.cli.console import console, print_grid, print_line
+from track_range.cli.commands.run import print_outcome, run_and_print
+from track_range.cli.console import console, print_line
 from track_range.cli.parameters import command
-from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.files.output_files import locked_output
 from track_range.foundation.options import Options, option
 from track_range.foundation.processes import one_opencv_thread
 from track_range.run.progress import step_progress
 from track_range.run.settings import RunSettings
 from track_range.simulation.drive import write_drive
-from track_range.views.report.tables import NOTHING, Column, Grid, figure, grid_of
+from track_range.views.report.tables import NOTHING, figure
 
 if TYPE_CHECKING:
-    import pyarrow as pa
     from rich.console import Console
 
     from track_range.run.run import Run
-
-_EXTREMES = (  # heading, column and aggregate of the rows of a class
-    ("nearest m", "fused_kf_m", "min"),
-    ("fastest closing m/s", "closing_mps", "max"),
-    ("shortest TTC s", "ttc_front_s", "min"),
-)
 
 SCENARIO = "crossing"  # the camera's car stops for people and a cyclist, who stay visible for several seconds
 
@@ -66,9 +58,9 @@ def _demo(options: DemoOptions) -> None:
 
 
 def _print_screen(run: Run, console: Console) -> None:
-    """Print one screen: the tracks of each class, the accuracy, the files, and what to try next."""
+    """Print one screen: what happened, the accuracy, the files, and what to try next."""
     n_frames, folder = run.summary["frames"], run.settings.out
-    print_grid(console, track_grid(run.to_arrow()))
+    print_outcome(run, console)
     print_line(
         console,
         f"Accuracy against the simulation's exact truth, {n_frames} frames:",
@@ -82,24 +74,6 @@ def _print_screen(run: Run, console: Console) -> None:
         "  track-range --mono dashcam.mp4 --focal-px 1150",
         "  track-range --stereo left.mp4 right.mp4 --rig rig.yaml",
     )
-
-
-def track_grid(rows: pa.Table) -> Grid:
-    """One row per class of observed boxes: tracks, the longest one, smallest distance and TTC of the front."""
-    if not len(rows):
-        return grid_of("Tracks found", "class", [], [])
-    observed = rows.filter(rows["observed"])
-    tracks = observed.group_by(["class", "track_id"]).aggregate([("time_s", "min"), ("time_s", "max")]).to_pylist()
-    classes = observed.group_by("class").aggregate([(name, kind) for _, name, kind in _EXTREMES]).to_pylist()
-    classes.sort(key=lambda row: ROAD_CLASSES.index(row["class"]))
-    names = [row["class"] for row in classes]
-    lengths_s = [[one["time_s_max"] - one["time_s_min"] for one in tracks if one["class"] == name] for name in names]
-    columns = [
-        Column("tracks", [float(len(one)) for one in lengths_s], "{:.0f}"),
-        Column("longest s", [max(one) for one in lengths_s]),
-        *(Column(head, [row[f"{name}_{kind}"] for row in classes]) for head, name, kind in _EXTREMES),
-    ]
-    return grid_of("Tracks found", "class", names, columns)
 
 
 def accuracy_lines(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

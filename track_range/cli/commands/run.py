@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, nullcontext, suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -36,6 +37,9 @@ class RunView(Options):
             panel="Input",
         ),
     ] = None
+    verbose: Annotated[
+        bool, option("At the end, print also coverage, uncertainty and run time of each method.", panel="Output")
+    ] = False
     show: Annotated[bool, option("Live view of the overlay in a browser.", panel="Output")] = False
     serve: Annotated[
         str | None,
@@ -62,17 +66,18 @@ def _run(**values: Any) -> None:
     from track_range.views.live_view.view import open_view
 
     options = RunView.of(given_values(RunView, values))
+    printed = partial(_print_tables, is_verbose=options.verbose)
     settings = settings_from(_with_sources(given_values(RunSettings, values)), options.settings)
     if options.views is None:
         with open_view(show=options.show, serve=options.serve, n_viewers=options.viewers) or nullcontext() as view:
-            run_and_print(settings, console, view)
+            run_and_print(settings, console, view, print_results=printed)
         return
     from track_range.run.views import directions_deg, run_views
 
     if options.show or options.serve is not None:
         raise UsageError("--views makes several runs: it cannot be combined with --show or --serve.")
     views_deg = directions_deg(options.views, settings)
-    path = run_views(settings, views_deg, lambda view_settings: run_and_print(view_settings, console))
+    path = run_views(settings, views_deg, lambda one: run_and_print(one, console, print_results=printed))
     print_line(console, f"Tracks of all views in {path}.")
 
 
@@ -81,12 +86,11 @@ def run_and_print(
     console: Console,
     view: LiveView | None = None,
     *,
-    print_results: Callable[[Run, Console], None] | None = None,
+    print_results: Callable[[Run, Console], None],
 ) -> Path:
-    """Process a whole run, print its notes and tables, and return its output folder.
+    """Process a whole run, print its notes and results, and return its output folder.
 
-    A run that is interrupted (RunStoppedError), or in which an input fails, finishes its files first. `print_results`
-    replaces the printing of all tables and of the names of the files.
+    A run that is interrupted (RunStoppedError), or in which an input fails, finishes its files first.
     """
     from track_range.foundation.errors import RunStoppedError
     from track_range.run.interrupts import stop_on_interrupt
@@ -96,7 +100,7 @@ def run_and_print(
     with stop_on_interrupt():
         try:
             with run:
-                _process(run, console, view, print_results or _print_tables)
+                _process(run, console, view, print_results)
         except KeyboardInterrupt:
             state = "; the results so far were written." if run.is_finished else " before any frame was processed."
             raise RunStoppedError(f"stopped by the user{state}") from None
@@ -124,14 +128,31 @@ def _process(run: Run, console: Console, view: LiveView | None, print_results: C
                 print_results(run, console)
 
 
-def _print_tables(run: Run, console: Console) -> None:
+def _print_tables(run: Run, console: Console, *, is_verbose: bool) -> None:
     from track_range.cli.console import print_line, print_summary
+    from track_range.views.report.tables import frames_per_s
 
     with _ignore_broken_pipe():
-        print_summary(console, run.summary)
+        print_summary(console, run.summary, is_brief=not is_verbose)
+        print_outcome(run, console)
+        rate = frames_per_s(run.summary)
+        print_line(console, f"{run.summary['frames']} frames" + (f", {rate:.1f} per second." if rate else "."))
     if run.files:
         names = ", ".join(file.name for file in run.files)
         print_line(console, f"Results in {run.files[0].parent}: {names}")
+
+
+def print_outcome(run: Run, console: Console) -> None:
+    """Print what happened: the extremes of each class, the events, and where to look."""
+    from track_range.cli.console import print_grid, print_line
+    from track_range.foundation.files.input_files import printable
+    from track_range.views.report.outcome import class_grid, event_lines
+
+    users, files = run.summary["closest_approaches"], {file.name: file for file in run.files}
+    print_grid(console, *([class_grid(users)] if users else []))
+    print_line(console, *map(printable, event_lines(run.events)))
+    if "report.html" in files:
+        print_line(console, f"Look at {files['report.html']}: it shows each of these moments.")
 
 
 @contextmanager

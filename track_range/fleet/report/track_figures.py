@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from track_range.detection.classes import STATIC_CLASSES
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.evaluation.errors import BANDS_M
 from track_range.results.columns import distance_names
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
 N_RANKED = 20  # number of tracks in a ranking
 EDGES_M = (0.0, *BANDS_M, float("inf"))  # edges of the distance bands: those of the evaluation, and all other distances
 _MAX_RELATIVE_SIGMA = 0.5  # largest standard deviation of a ranked distance or time to collision, relative to it
-_NOT_ROAD_USERS = ("traffic light", "traffic sign")  # classes that are not ranked
 _REFERENCES = ("fused_kf", "fused")  # distances that give the band and the closest approach, the first that a row has
 _MAX_NUMBER = 1e12  # limit of track numbers, and of times in s
 
@@ -170,7 +170,7 @@ class _Rows:
         ranked = np.where(self.observed & np.isfinite(self.distance_m) & ~np.isnan(values), values, np.inf)
         smallest = np.minimum.reduceat(ranked, self.starts)
         tracks = [i for i in np.argsort(smallest, kind="stable").tolist() if smallest[i] < np.inf]
-        road_users = (i for i in tracks if self.class_of_track[i] not in _NOT_ROAD_USERS)
+        road_users = (i for i in tracks if self.class_of_track[i] not in STATIC_CLASSES)
         rows = {
             i: self.starts[i] + int(np.argmax(ranked[self.starts[i] :] == smallest[i]))
             for i in islice(road_users, N_RANKED)

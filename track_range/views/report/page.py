@@ -26,6 +26,7 @@ from track_range.foundation.files.input_files import real_path
 from track_range.foundation.files.output_files import write_text
 from track_range.foundation.files.structured_text import parse_json
 from track_range.pipeline.colours import colour_of_each
+from track_range.results.approaches import closest_approaches
 from track_range.results.columns import Columns, methods_measured
 from track_range.results.events.event import Event, is_clip_name
 from track_range.results.formats.poses_file import Poses
@@ -88,7 +89,7 @@ def report_page(
 ) -> str:
     """HTML of the report of a run; `events` and `poses`: see `write_report`; `clips`: addresses by file name."""
     columns = {**columns, **road_columns(columns), **box_columns(columns, summary)}
-    tracks = summary.get("tracks") or {}
+    tracks, users = summary.get("tracks") or {}, closest_approaches(columns)
     overlay = (summary.get("files") or {}).get("overlay")
     shown = None if events is None else shown_events(events)
     content = {**run_content(summary, columns, shown or ()), "map": drive_map(columns, poses)}
@@ -112,9 +113,9 @@ def report_page(
     return rendered(
         "report.html.j2",
         title=sentences.run_name(summary),
-        subtitle=sentences.run_line(summary, columns, span_s),
+        subtitle=sentences.run_line(summary, len(users), span_s),
         sections={anchor: name for anchor, name in sections.items() if name},
-        headlines=sentences.headlines(columns, events),
+        headlines=sentences.headlines(columns, users, events),
         events=None if shown is None else event_records(shown, clips_of(events or (), shown, clips or {})),
         events_note=hidden_events_note(events or (), shown or ()),
         has_road=any("x" in track for track in content["tracks"]),

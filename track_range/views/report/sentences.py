@@ -14,7 +14,6 @@ from urllib.parse import quote
 
 import numpy as np
 
-from track_range.foundation.arrays import BoolArray
 from track_range.foundation.files.input_files import counted
 from track_range.results.columns import Columns
 from track_range.results.events.event import Event
@@ -25,7 +24,6 @@ from track_range.views.report.content.series import column
 from track_range.views.report.tables import Summary
 
 _FAR_M = 50.0  # distance in metres at which the effect of the remaining disparity error is given
-STATIC_CLASSES = ("traffic light", "traffic sign")  # classes that are not road users
 _MIN_PROBABILITY = 0.25  # smallest probability of contact of a headline, as of the amber marks in the overlay
 
 
@@ -46,77 +44,77 @@ def address(path: str) -> str:
     return quote(path, errors="surrogateescape")
 
 
-def headlines(columns: Columns, events: Sequence[Event] | None) -> list[dict[str, Any]]:
+def headlines(
+    columns: Columns, users: Sequence[Mapping[str, Any]], events: Sequence[Event] | None
+) -> list[dict[str, Any]]:
     """Main results of a run, three: `figure`, `words`, and `time_s` of the moment in the video, None = none.
 
-    The rows have `road_columns` where they are known; `events` None = unknown.
+    `users` are `closest_approaches` of the rows; `events` None = unknown.
     """
-    is_user = ~np.isin(columns["class"], STATIC_CLASSES) & (column(columns, "track_id") > 0)
-    first = _user_headline(columns, is_user) if events is None else _event_headline(events)
-    return [first, _nearest_headline(columns, is_user), _collision_headline(columns, is_user)]
+    first = _user_headline(users) if events is None else event_headline(events)
+    return [first, _nearest_headline(users), _collision_headline(columns, users)]
 
 
 def _headline(figure: str, words: str, time_s: float | None = None) -> dict[str, Any]:
     return {"figure": figure, "words": words, "time_s": None if time_s is None else round(time_s, 3)}
 
 
-def _row_headline(columns: Columns, row: int, figure: str, words: str) -> dict[str, Any]:
-    time_s = float(columns["time_s"][row])
-    name = f"{columns['class'][row]} {columns['track_id'][row]:.0f}"
-    return _headline(figure, f"{words}: {name} at {time_words(time_s)}", time_s)
+def _user_moment(user: Mapping[str, Any], key: str, figure: str, words: str) -> dict[str, Any]:
+    time_s = user[f"{key}_at_s"]
+    return _headline(figure, f"{words}: {user['class']} {user['track_id']} at {time_words(time_s)}", time_s)
 
 
-def _event_headline(events: Sequence[Event]) -> dict[str, Any]:
+def event_headline(events: Sequence[Event]) -> dict[str, Any]:
+    """The headline of the warnings or, without one, of the events."""
     if not events:
         return _headline("No event", "no collision warning, close following, hard approach, cut-in or near miss")
     warnings = sorted((event for event in events if np.isfinite(event.warning_s)), key=lambda event: event.warning_s)
     n_events = counted(len(events), "event")
     if not warnings:
-        return _headline(n_events, f"no warning; {', '.join(kind_counts(events))}")
-    first = warnings[0]
-    order = "the first" if len(warnings) > 1 else "it is"
-    text = f"in {n_events}; {order} of {object_words(first)} at {time_words(first.warning_s)}"
-    return _headline(counted(len(warnings), "warning"), text, first.warning_s)
+        return _headline(n_events, f"{', '.join(kind_counts(events))}; none has a warning")
+    first, n = warnings[0], len(warnings)
+    text = f"{object_words(first)} at {time_words(first.warning_s)}"
+    text = text if n == 1 else f"the first for {text}"
+    return _headline(counted(n, "warning"), text if len(events) == n else f"{text}; {n_events} in all", first.warning_s)
 
 
-def _user_headline(columns: Columns, is_user: BoolArray) -> dict[str, Any]:
+def _user_headline(users: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Number of road users by class, for runs without events."""
-    names = dict(zip(columns["track_id"][is_user].tolist(), columns["class"][is_user].tolist(), strict=True))
-    if not names:
+    if not users:
         return _headline("No road user", "no track was confirmed in this run")
-    counts = sorted(Counter(names.values()).items())
+    counts = sorted(Counter(user["class"] for user in users).items())
     text = ", ".join(f"{n} \N{MULTIPLICATION SIGN} {name}" for name, n in counts)
-    return _headline(counted(len(names), "road user"), f"tracked: {text}")
+    return _headline(counted(len(users), "road user"), f"tracked: {text}")
 
 
-def _nearest_headline(columns: Columns, is_user: BoolArray) -> dict[str, Any]:
-    distance_m = column(columns, "fused_m")
-    rows = np.flatnonzero(is_user & np.isfinite(distance_m) & (column(columns, "observed") != 0))
-    if not len(rows):
+def _nearest_headline(users: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    if not users or users[0]["min_distance_m"] is None:
         return _headline("No distance", "no distance to a road user was measured")
-    row = int(rows[np.argmin(distance_m[rows])])
-    sigma_m = column(columns, "fused_sigma_m")[row]
-    uncertainty = f" (± {sigma_words(sigma_m)} m)" if np.isfinite(sigma_m) else ""
-    return _row_headline(columns, row, f"{distance_m[row]:.1f} m", f"smallest distance from the camera{uncertainty}")
+    sigma_m = users[0]["min_distance_sigma_m"]
+    uncertainty = "" if sigma_m is None else f" (± {sigma_words(sigma_m)} m)"
+    figure, words = f"{users[0]['min_distance_m']:.1f} m", f"smallest distance from the camera{uncertainty}"
+    return _user_moment(users[0], "min_distance_m", figure, words)
 
 
-def _collision_headline(columns: Columns, is_user: BoolArray) -> dict[str, Any]:
+def _collision_headline(columns: Columns, users: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Shortest time to collision; without one, the largest probability of contact."""
-    ttc_s = column(columns, "ttc_front_s")
-    rows = np.flatnonzero(is_user & np.isfinite(ttc_s))
-    if len(rows):
-        row = int(rows[np.argmin(ttc_s[rows])])
-        return _row_headline(columns, row, f"{ttc_s[row]:.1f} s", "shortest time to a collision of the front")
+    known = [user for user in users if user["min_ttc_front_s"] is not None]
+    if known:
+        user = min(known, key=lambda one: one["min_ttc_front_s"])
+        figure, words = f"{user['min_ttc_front_s']:.1f} s", "shortest time to a collision of the front"
+        return _user_moment(user, "min_ttc_front_s", figure, words)
+    is_user = np.isin(columns["track_id"], [user["track_id"] for user in users])
     probability = np.where(is_user, column(columns, "contact_probability"), np.nan)
     row = int(np.nanargmax(probability)) if np.isfinite(probability).any() else -1
     if row < 0 or probability[row] < _MIN_PROBABILITY:
         return _headline("No collision course", "no road user approached the path of the camera's vehicle")
-    return _row_headline(columns, row, f"{100 * probability[row]:.0f} %", "largest probability of contact")
+    time_s, name = float(columns["time_s"][row]), f"{columns['class'][row]} {columns['track_id'][row]:.0f}"
+    words = f"largest probability of contact: {name} at {time_words(time_s)}"
+    return _headline(f"{100 * probability[row]:.0f} %", words, time_s)
 
 
-def run_line(summary: Mapping[str, Any], columns: Columns, duration_s: float) -> str:
-    """Duration, frames and number of road users of a run in one line."""
-    n = len(np.unique(columns["track_id"][~np.isin(columns["class"], STATIC_CLASSES)]))
+def run_line(summary: Mapping[str, Any], n: int, duration_s: float) -> str:
+    """Duration, frames and number n of road users of a run in one line."""
     frames = tables.figure(summary, "frames")
     parts = [
         f"{time_words(duration_s)} of video" if duration_s > 0 else "",
@@ -133,7 +131,7 @@ def cards(summary: Summary) -> Iterator[dict[str, str]]:
     yield card("frames", summary.get("frames"), f"in {wall_s:.1f} s" if wall_s else "")
     if fps is not None:
         yield card("frames per second", f"{fps:.1f}", "all stages, wall clock")
-    yield card("tracks", tracks.get("n"), "confirmed road users")
+    yield card("tracks", tracks.get("n"), "confirmed, with traffic lights and signs")
     best = best_method(summary)
     if best is not None:
         name, error_pct, where = best

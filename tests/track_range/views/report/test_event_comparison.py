@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from track_range.results.approaches import closest_approaches
 from track_range.results.events.event import Event
 from track_range.views.report.comparison import ComparedRun, event_differences, event_grids, event_sentence
 from track_range.views.report.content.events import (
@@ -161,11 +162,15 @@ def test_small_sigmas_are_not_zero(sigma_m: float, words: str) -> None:
     assert sigma_words(sigma_m) == words
 
 
+def shown(columns: dict[str, Any], events: list[Event] | None) -> list[dict[str, Any]]:
+    return headlines(columns, closest_approaches(columns), events)
+
+
 def test_headlines_of_events() -> None:
     columns = {**rows((1, 300.0)), "observed": np.ones(40), "fused_m": 20.0 - np.arange(40) / 10}
     columns |= {"ttc_front_s": np.full(40, np.nan), "fused_sigma_m": np.full(40, 0.5), "ttc_s": np.full(40, 1.0)}
     columns["ttc_front_s"][7] = 2.5
-    first, nearest, collision = headlines(columns, [event(), event(kind="forward_collision", warning_s=1.5)])
+    first, nearest, collision = shown(columns, [event(), event(kind="forward_collision", warning_s=1.5)])
     assert (first["figure"], first["time_s"]) == ("1 warning", 1.5)
     assert nearest == {
         "figure": "16.1 m",
@@ -173,18 +178,18 @@ def test_headlines_of_events() -> None:
         "time_s": 3.9,
     }
     assert (collision["figure"], collision["time_s"]) == ("2.5 s", 0.7)
-    assert headlines(columns, [event()])[0]["figure"] == "1 event"
-    assert headlines(columns, [])[0]["figure"] == "No event"
-    assert headlines(columns, None)[0]["figure"] == "1 road user"
+    assert shown(columns, [event()])[0]["figure"] == "1 event"
+    assert shown(columns, [])[0]["figure"] == "No event"
+    assert shown(columns, None)[0]["figure"] == "1 road user"
 
 
 def test_headline_of_a_probability() -> None:
     columns = {**rows((1, 300.0)), "observed": np.ones(40), "fused_m": np.full(40, 20.0), "ttc_s": np.full(40, np.nan)}
     columns["contact_probability"] = np.where(np.arange(40) == 7, 0.6, 0.1)
-    figure = headlines(columns, [])[2]
+    figure = shown(columns, [])[2]
     assert (figure["figure"], figure["time_s"]) == ("60 %", 0.7)
     columns["contact_probability"] = np.full(40, 0.2)
-    assert headlines(columns, [])[2]["figure"] == "No collision course"
+    assert shown(columns, [])[2]["figure"] == "No collision course"
 
 
 def test_links_to_clips() -> None:
@@ -195,5 +200,5 @@ def test_links_to_clips() -> None:
 
 def test_headlines_without_road_users() -> None:
     columns = {**rows((1, 300.0)), "class": np.full(40, "traffic sign"), "fused_m": np.full(40, 3.0)}
-    figures = [headline["figure"] for headline in headlines(columns, None)]
+    figures = [headline["figure"] for headline in shown(columns, None)]
     assert figures == ["No road user", "No distance", "No collision course"]

@@ -5,17 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from rich import box
-from rich.table import Table
-from rich.text import Text
-
-from track_range.cli.console import console
+from track_range.cli.console import console, print_grid
 from track_range.cli.parameters import command
 from track_range.detection.darknet.importer import import_darknet
 from track_range.detection.models.lookup import model_rows, models_folder
 from track_range.foundation.options import Options, option
 from track_range.run.options.opened import class_names
 from track_range.run.ready_model import ready_model
+from track_range.views.report.tables import Cell, Grid
 
 
 class ListOptions(Options):
@@ -40,12 +37,9 @@ class ImportOptions(Options):
 
 
 def _list(_options: ListOptions) -> None:
-    table = Table(box=box.SIMPLE_HEAD, title="Detectors", title_justify="left", padding=0)
-    for heading in ("name", "input", "size", "licence", "from", "state"):
-        table.add_column(heading, overflow="fold", no_wrap=heading in ("name", "size", "state"))
-    for row in model_rows():
-        table.add_row(*map(Text, row))
-    console.print(table)
+    columns = ("name", "input", "size", "licence", "state", "from")
+    rows = ((*texts, state, source) for *texts, source, state in model_rows())
+    print_grid(console, Grid("Detectors", columns, tuple(tuple(map(Cell, row)) for row in rows)))
     console.print(f"Downloaded models are stored in {models_folder()}", highlight=False, soft_wrap=True)
 
 

@@ -17,6 +17,7 @@ from track_range.cli.parameters import command
 from track_range.detection.box_errors import UNKNOWN_DETECTOR
 from track_range.detection.classes import ROAD_CLASSES, class_counts
 from track_range.detection.models.lookup import ModelLocation, find_model
+from track_range.detection.models.metadata import FROM_METADATA
 from track_range.detection.yolo.detector import YoloDetector
 from track_range.detection.yolo.first_images import N_IMAGES
 from track_range.foundation.errors import ConfigError
@@ -140,7 +141,7 @@ def _rows(detector: YoloDetector) -> Iterator[tuple[str, str, str]]:
         yield "classes not covered", ", ".join(missing), ""
     for key in _ABOUT:
         if key in session.metadata:
-            yield key, session.metadata[key], "from the model's metadata"
+            yield key, session.metadata[key], FROM_METADATA
     yield "runs on", session.device, ""
     yield "file", f"{session.path.stat().st_size / 1e6:.1f} MB", ""
     yield "sha256", session.sha256(), ""

@@ -8,14 +8,16 @@ decodes a track when its chart comes into view. If all tracks together have too 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
+from track_range.detection.classes import STATIC_CLASSES
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.pipeline.colours import track_colour
-from track_range.results.columns import Columns, methods_measured, most_frequent, rows_by_track
+from track_range.results.approaches import track_extremes
+from track_range.results.columns import Columns, methods_measured, rows_by_track
 from track_range.views.report.tables import figure
 
 LINE_POINTS = 1200  # of a line, longer ones are thinned; a page shows about one point per pixel
@@ -79,30 +81,32 @@ def track_records(columns: Columns) -> Iterator[dict[str, Any]]:
     limit = LINE_POINTS  # of points per line with which all lines fit into a page
     while limit > 8 and n_series * sum(min(len(rows), limit) for rows in row_sets) > MOST_CELLS:
         limit = int(0.9 * limit)
+    extremes = {row["track_id"]: row for row in track_extremes(columns)}
     for rows in row_sets:
         track = {name: values[rows] for name, values in columns.items()}
         shown = thinned(len(rows), limit)
-        yield {**_properties(track), **_series({name: values[shown] for name, values in track.items()}, methods)}
+        yield {
+            **_properties(track, extremes[int(track["track_id"][0])]),
+            **_series({name: values[shown] for name, values in track.items()}, methods),
+        }
 
 
-def _properties(track: Columns) -> dict[str, Any]:
-    def reduced(values: FloatArray, reduce: Callable[[FloatArray], Any]) -> float | None:
-        known = values[np.isfinite(values)]
-        return round(float(reduce(known)), 2) if len(known) else None
-
+def _properties(track: Columns, extremes: Mapping[str, Any]) -> dict[str, Any]:
+    near_m, ttc_s = (extremes[key] and round(extremes[key], 2) for key in ("min_distance_m", "min_ttc_front_s"))
     time_s, fused_m, truth_m = column(track, "time_s"), column(track, "fused_m"), column(track, "truth_m")
     error = np.abs(fused_m / np.where(truth_m > 0, truth_m, np.nan) - 1.0)
-    track_id = int(track["track_id"][0])
+    error = error[np.isfinite(error)]
+    track_id = extremes["track_id"]
     return {
         "id": track_id,
-        "name": most_frequent(track["class"]),
+        "name": extremes["class"],
         "colour": "#{2:02x}{1:02x}{0:02x}".format(*track_colour(track_id)),
         "n": len(time_s),
         "from_s": round(float(time_s[0]), 3),
         "to_s": round(float(time_s[-1]), 3),
-        "near_m": reduced(fused_m, np.min),
-        "ttc_s": reduced(column(track, "ttc_front_s"), np.min),
-        "error_pct": reduced(100.0 * error, np.median),
+        "near_m": near_m,
+        "ttc_s": ttc_s,
+        "error_pct": round(100 * float(np.median(error)), 2) if len(error) else None,
     }
 
 
@@ -142,9 +146,10 @@ def timeline(columns: Columns, summary: Mapping[str, Any]) -> dict[str, Any]:
     n_bins = int(np.clip(round(span_s / frame_s), 1, MAX_BINS))
     width_s = span_s / n_bins
     row_bin = np.clip((time_s - first_s + 1e-6) // width_s, 0, n_bins - 1).astype(np.int64)
-    _, row, count = np.unique(frame, return_index=True, return_counts=True)
+    is_user = ~np.isin(columns["class"], STATIC_CLASSES)
+    _, row, count = np.unique(frame[is_user], return_index=True, return_counts=True)
     n_users = np.zeros(n_bins)
-    np.maximum.at(n_users, row_bin[row], count)
+    np.maximum.at(n_users, row_bin[is_user][row], count)
     ego_mps = column(columns, "ego_mps")
     known = np.isfinite(ego_mps)
     ego = np.full(n_bins, np.nan)

@@ -1,0 +1,60 @@
+"""Closest approaches: which rows count, and the moment of each extreme."""
+
+import numpy as np
+
+from track_range.results.approaches import closest_approaches, track_extremes
+
+NAN = np.nan
+
+
+def rows(*values):
+    """Columns of rows (time, track, class, observed, filtered m, its sigma, closing, its sigma, TTC)."""
+    names = (
+        *("time_s", "track_id", "class", "observed", "fused_kf_m", "fused_kf_sigma_m"),
+        *("closing_mps", "closing_sigma_mps", "ttc_front_s"),
+    )
+    return {name: np.array([row[k] for row in values]) for k, name in enumerate(names)}
+
+
+COLUMNS = rows(
+    (0.0, 1, "car", 1, 20.0, 0.4, NAN, NAN, NAN),
+    (0.5, 1, "car", 1, 15.0, 0.3, 10.0, 1.0, 1.5),
+    (1.0, 1, "car", 0, 3.0, 0.1, 30.0, 1.0, 0.4),  # predicted
+    (1.5, 1, "car", 1, 4.0, 2.5, 90.0, 46.0, NAN),  # too uncertain
+    (0.0, 2, "person", 1, 8.5, NAN, -1.0, 0.1, NAN),
+    (0.0, 3, "bus", 1, NAN, NAN, NAN, NAN, NAN),
+    (0.0, 4, "traffic light", 1, 2.0, 0.1, NAN, NAN, NAN),
+)
+
+
+def test_detected_and_certain_rows_count():
+    person, car, bus = closest_approaches(COLUMNS)  # nearest first, unknown last
+    assert (person["track_id"], person["min_distance_m"], person["min_distance_sigma_m"]) == (2, 8.5, None)
+    assert person["max_closing_mps"] is None  # it goes away
+    assert car == {
+        "track_id": 1,
+        "class": "car",
+        "min_distance_m": 15.0,
+        "min_distance_sigma_m": 0.3,
+        "min_distance_m_at_s": 0.5,
+        "max_closing_mps": 10.0,
+        "max_closing_sigma_mps": 1.0,
+        "max_closing_mps_at_s": 0.5,
+        "min_ttc_front_s": 0.4,
+        "min_ttc_front_s_at_s": 1.0,  # of all rows, as in events.csv and `surrogate`
+    }
+    assert {value for key, value in bus.items() if key not in ("track_id", "class")} == {None}
+
+
+def test_extremes_of_all_tracks():
+    assert [row["track_id"] for row in track_extremes(COLUMNS)] == [1, 2, 3, 4]
+
+
+def test_fused_distance_without_a_filter():
+    columns = {"time_s": np.zeros(2), "track_id": np.ones(2), "class": np.array(["car", "car"]), "fused_m": [NAN, 7.0]}
+    (row,) = closest_approaches({name: np.asarray(values) for name, values in columns.items()})
+    assert (row["min_distance_m"], row["min_distance_sigma_m"], row["min_ttc_front_s"]) == (7.0, None, None)
+
+
+def test_no_rows():
+    assert closest_approaches({name: values[:0] for name, values in COLUMNS.items()}) == []

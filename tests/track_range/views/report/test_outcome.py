@@ -1,0 +1,47 @@
+"""What a run prints at its end."""
+
+import math
+
+from tests.track_range.results.events.event_builder import event
+from tests.track_range.results.test_approaches import COLUMNS
+from track_range.results.approaches import closest_approaches
+from track_range.views.report.outcome import class_grid, event_lines, html_table, user_grid
+
+TIMES = "\N{MULTIPLICATION SIGN}"
+USERS = closest_approaches(COLUMNS)
+
+
+def texts(grid):
+    return [[cell.text for cell in row] for row in grid.rows]
+
+
+def test_extremes_of_a_class_name_track_and_time():
+    assert texts(class_grid(USERS)) == [
+        ["person", "1", "8.5", "2 at 0.0 s", "-", "-", "-", "-"],
+        ["car", "1", "15.0 ±0.3", "1 at 0.5 s", "10.0 ±1.0", "1 at 0.5 s", "0.4", "1 at 1.0 s"],
+        ["bus", "1", "-", "-", "-", "-", "-", "-"],
+    ]
+
+
+def test_nearest_road_users():
+    grid = user_grid(USERS, 2)
+    assert "of 3" in grid.title
+    assert texts(grid)[1] == ["car 1", "15.0 ±0.3", "0.5 s", "10.0 ±1.0", "0.5 s", "0.4", "1.0 s"]
+    assert "<td>car 1</td><td>15.0 ±0.3</td>" in html_table(grid)
+    assert html_table(user_grid([], 2)) == ""
+
+
+def test_events_in_lines():
+    assert [*event_lines([])] == [
+        "No event: no collision warning, close following, hard approach, cut-in or near miss."
+    ]
+    warning = event(kind="cut_in", start_s=2.0, warning_s=2.1, reason="A car moved in.")
+    first, line = event_lines([warning])
+    assert first == "1 warning: car 7 at 2.1 s."
+    assert line.split() == "2.0 s cut-in, car 7: A car moved in.".split()
+    others = [event(kind="near_miss", start_s=float(i), warning_s=math.nan) for i in range(6)]
+    first, *lines, more = event_lines([warning, *others])
+    assert first == "1 warning: car 7 at 2.1 s; 7 events in all."
+    assert len(lines) == 5
+    assert more.strip().startswith("and 2 events more")
+    assert next(event_lines(others[:2])) == f"2 events: 2 {TIMES} near miss; none has a warning."

@@ -1,0 +1,55 @@
+"""Closest approaches: smallest distance, strongest closing and shortest time to collision of road users."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from track_range.detection.classes import STATIC_CLASSES
+from track_range.foundation.arrays import BoolArray, FloatArray
+from track_range.results.columns import Columns, most_frequent, rows_by_track
+
+_MAX_RELATIVE_SIGMA = 0.5  # largest standard deviation of a distance or closing speed that counts, relative to it
+
+
+def closest_approaches(columns: Columns) -> list[dict[str, Any]]:
+    """One row for each road user (a track, without traffic lights and signs), nearest first.
+
+    Keys: `track_id`, `class` (the most frequent one); `min_distance_m` (filtered, else fused), `max_closing_mps` and
+    `min_ttc_front_s`, each with `_at_s`, its time; `min_distance_sigma_m`, `max_closing_sigma_mps`. None = unknown.
+    Distances and closing speeds are of detected boxes, with a sigma of at most half of them or an unknown one.
+    """
+    users = [row for row in track_extremes(columns) if row["class"] not in STATIC_CLASSES]
+    return sorted(users, key=lambda row: np.inf if row["min_distance_m"] is None else row["min_distance_m"])
+
+
+def track_extremes(columns: Columns) -> Iterator[dict[str, Any]]:
+    """The same for each track, by increasing track ID."""
+    unknown = np.full(len(columns["time_s"]), np.nan)
+    filtered_m, fused_m = columns.get("fused_kf_m", unknown), columns.get("fused_m", unknown)
+    sigmas_m = [columns.get(f"{name}_sigma_m", unknown) for name in ("fused_kf", "fused")]
+    is_filtered, is_observed = np.isfinite(filtered_m), columns.get("observed", unknown) != 0
+    distance_m, sigma_m = np.where(is_filtered, filtered_m, fused_m), np.where(is_filtered, *sigmas_m)
+    closing_mps, spread_mps = (columns.get(f"closing_{unit}", unknown) for unit in ("mps", "sigma_mps"))
+    certain_mps = _counted(closing_mps, spread_mps, is_observed)
+    measures = (  # key, values whose smallest counts, and standard deviations with their key
+        ("min_distance_m", _counted(distance_m, sigma_m, is_observed), "min_distance_sigma_m", sigma_m),
+        ("max_closing_mps", -certain_mps, "max_closing_sigma_mps", spread_mps),
+        ("min_ttc_front_s", columns.get("ttc_front_s", unknown), "", unknown),
+    )
+    for rows in rows_by_track(columns):
+        row: dict[str, Any] = {"track_id": int(columns["track_id"][rows[0]])}
+        row["class"] = most_frequent(columns["class"][rows])
+        for key, values, sigma_key, sigmas in measures:
+            known = rows[np.isfinite(values[rows])]
+            at = known[np.argmin(values[known])] if len(known) else None
+            row[key] = None if at is None else abs(float(values[at]))
+            if sigma_key:
+                row[sigma_key] = float(sigmas[at]) if at is not None and np.isfinite(sigmas[at]) else None
+            row[f"{key}_at_s"] = None if at is None else float(columns["time_s"][at])
+        yield row
+
+
+def _counted(values: FloatArray, sigma: FloatArray, is_observed: BoolArray) -> FloatArray:
+    """Values that are positive, of detected boxes, and not too uncertain; NaN = others."""
+    return np.where(is_observed & (values > 0) & ~(sigma > _MAX_RELATIVE_SIGMA * values), values, np.nan)
