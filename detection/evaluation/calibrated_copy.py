@@ -40,7 +40,8 @@ def check_attributes(model: Path, out: Path) -> bytes | None:
     content = source.read_bytes() if source.is_file() else None
     if target.is_file() and target.read_bytes() != content:
         raise OutputError(
-            f"{target}: expected no file or the attributes of {model.name}, found others; choose another --out."
+            f"{target}: expected no file, or the attributes of {model.name}, found other attributes; choose another "
+            "--out."
         )
     return content
 
@@ -52,8 +53,9 @@ def write_calibrated_copy(detector: YoloDetector, fit: ScoreFit, out: Path, *, i
     if background.max() > LOWEST_SCORE:
         name = ROAD_CLASSES[known[background.argmax()]]
         raise ModelError(
-            f"{images}: expected scores that are clearly higher for detections that match a label, but with those of "
-            f"{name}, background would get {background.max():.2f}; check the labels, or give more images."
+            f"{images}: expected scores that are clearly higher for detections that match a label, but with the scores "
+            f"of {name}, background would get a probability of {background.max():.2f}; check the labels, or give more "
+            "images."
         )
     model = detector.session.path
     content = check_attributes(model, out)

@@ -95,8 +95,8 @@ def read_detections(
     is_road = rows.class_id >= 0
     if (n_invalid := np.count_nonzero(~is_valid)) > _MAX_INVALID * len(is_valid):
         raise LabelFileError(
-            f"{path}: expected valid boxes, read as {rows.description}, found {n_invalid} of {len(is_valid)} rows that "
-            "are none; check the columns and their order."
+            f"{path}: expected valid boxes in rows read as {rows.description}, found {n_invalid} of {len(is_valid)} "
+            "rows invalid; check the columns and their order."
         )
     if np.any(rows.frame > MAX_FRAME):
         raise LabelFileError(f"{path}: expected frame numbers up to {MAX_FRAME}, got {rows.frame.max()}.")
@@ -114,7 +114,8 @@ def read_detections(
     if rows.form in ("kitti", "labels") and first_frame_number(frame, 0, video.n_frames) == 1:
         frame = frame - 1
         notes.append(
-            f"{path.name}: its frame numbers end at {video.n_frames}, the number of images, so they start at 1."
+            f"{path.name}: the last frame number is {video.n_frames}, the number of images, so frame numbers start at "
+            "1."
         )
     notes += [*rows.notes, *score_note]
     return RecordedDetections(frame, detections, rows.form, tuple(notes), rows.is_rectified, rows.has_classes)

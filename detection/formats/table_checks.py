@@ -101,8 +101,8 @@ def first_frame_note(path: Path, first: int, n_frames: int) -> tuple[str, ...]:
     if first != 1 or n_frames < 2:
         return ()
     return (
-        f"{path.name}: its frame numbers start at 1, but the first frame of the video is 0; if all boxes are late by "
-        "one frame, convert it with `track-range export --first-frame 1`.",
+        f"{path.name}: frame numbers start at 1, but the first frame of the video is 0; if all boxes appear one frame "
+        "late, convert the file with `track-range export --first-frame 1`.",
     )
 
 
@@ -112,7 +112,7 @@ def other_labels_note(table: BoxTable, path: Path) -> tuple[str, ...]:
     if not is_other.any():
         return ()
     return (
-        f"{path.name}: boxes of labels that are not road classes do not count: "
+        f"{path.name}: ignored boxes whose labels are not road classes: "
         f"{names_with_counts(table.class_name[is_other])}; the classes are {', '.join(ROAD_CLASSES)}.",
     )
 
@@ -133,4 +133,8 @@ def ignored_note(path: Path, n_ignored: int, reason: str) -> tuple[str, ...]:
 def omitted_regions_note(table: BoxTable) -> tuple[str, ...]:
     """A note on the regions of a table that is written in a format without regions."""
     n_regions = int(table.is_region.sum())
-    return (f"Regions that are not evaluated, which this format does not have: {n_regions}.",) if n_regions else ()
+    return (
+        (f"Regions that are not evaluated are not written, because this format has none: {n_regions}.",)
+        if n_regions
+        else ()
+    )

@@ -77,7 +77,9 @@ def read_metadata(path: Path, metadata: Mapping[str, str], options: ModelOptions
     sidecar = path.with_suffix(".yaml")
     sidecar_values: Any = read_yaml(sidecar, ModelError, "the attributes of a model") if sidecar.is_file() else None
     if sidecar.is_file() and not (isinstance(sidecar_values, dict) and sidecar_values.keys() & _PARSERS.keys()):
-        raise ModelError(f"{sidecar}: expected one of the keys {', '.join(_PARSERS)}; add them or remove the file.")
+        raise ModelError(
+            f"{sidecar}: expected one of the keys {', '.join(_PARSERS)}; add one of them, or remove the file."
+        )
     attributes: dict[str, Attribute] = {}
     for key, parse in _PARSERS.items():
         if option_values.get(key) is not None:
@@ -114,7 +116,7 @@ def _parsed(parse: Callable[[Any], Any], value: object, place: str) -> Any:
     except ValueError as error:
         raise ModelError(f"{place}: {shortened(str(error), _MAX_REASON)}.") from error
     except (TypeError, KeyError, OverflowError) as error:
-        raise ModelError(f"{place}: expected other values, found {quoted(value)}.") from error
+        raise ModelError(f"{place}: unexpected value {quoted(value)}.") from error
 
 
 def _literal(text: str) -> object:

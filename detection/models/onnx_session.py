@@ -186,7 +186,7 @@ def _library_errors(path: Path, problem: str) -> Iterator[None]:
         yield
     except Exception as error:
         lines = str(error).replace(str(path), path.name).splitlines() or [type(error).__name__]
-        advice = "; it has operators of TensorRT: export it without the suppression" if "_TRT" in lines[0] else ""
+        advice = "; export the network without TensorRT's non-maximum suppression" if "_TRT" in lines[0] else ""
         raise ModelError(f"{path}: {problem} ({shortened(lines[0], _MAX_REASON)}){advice}.") from error
 
 

@@ -73,8 +73,8 @@ def load_mean(paths: Sequence[Path]) -> dict[str, Any]:
             old, new = before.get(part, "none"), after.get(part, "none")
             if old != new:
                 raise CheckpointError(
-                    f"{path}: expected {part} {old} as in {paths[0]}, got {new}; the mean of several --weights is that "
-                    "of checkpoints of the same network and the same classes."
+                    f"{path}: expected {part} {old} as in {paths[0]}, got {new}; several --weights can be averaged "
+                    "only if they have the same network and the same classes."
                 )
     if len(contents) > 1:
         try:

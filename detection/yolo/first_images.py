@@ -82,16 +82,16 @@ class FirstImages:
         is_last = self.n_compared >= N_IMAGES
         if is_clear and (best.n >= _MIN_BOXES or is_last):
             self.chosen = ranked[0].name
-            self.why = f"its boxes on the first images are the plausible ones ({best.mean:.2f}, others {second:.2f})"
+            self.why = f"only its boxes on the first images are plausible ({best.mean:.2f}, next {second:.2f})"
         elif is_last and best.n >= _MIN_GARBAGE and best.mean > _MIN_QUALITY:
             names = " or ".join(r.name for r in ranked if best.mean - self._tallies[r.name].mean < _MIN_LEAD)
             raise ModelError(
-                f"{self.path}: its outputs may be read as {names}, and the boxes on the first images are plausible in "
-                "each; choose one with --layout (Python: layout)."
+                f"{self.path}: its outputs may be read as {names}, and each reading gives plausible boxes on the first "
+                "images; choose one with --layout (Python: layout)."
             )
         elif is_last:
             self.chosen = (possible or readings)[0].name
-            self.why = "the usual one for these shapes; too few boxes on the first images to compare others"
+            self.why = "this layout is usual for these shapes; the first images have too few boxes to compare others"
         return ranked[0] if is_clear else (possible or readings)[0]
 
     def check(self, reading: YoloModel, outputs: Sequence[FloatArray32], input_hw: tuple[int, int]) -> None:

@@ -75,7 +75,7 @@ def readings_of(network: NetworkOutputs) -> tuple[YoloModel, ...]:
         )
     families = ", ".join(dict.fromkeys(name for name, _, _ in DETECTOR_LAYOUTS))
     raise ModelError(
-        f"{network.path}: unknown outputs {shortened(shapes, 80)}; expected those of {families}; {_EXPORT_HINT}."
+        f"{network.path}: expected the outputs of {families}, found {shortened(shapes, 80)}; {_EXPORT_HINT}."
     )
 
 
@@ -90,7 +90,7 @@ def _with_attributes(network: NetworkOutputs, model: YoloModel) -> YoloModel:
     for key in ("letterbox", "colours", "divisor", "mean", "std"):
         used[key] = metadata.get(key, getattr(usual_input, key), f"default of {model.family}")
     usual = COCO_BOX_ERRORS.get(model.family) if used["names"].value == COCO_CLASSES else None
-    source = "those of an unknown detector" if usual is None else f"usual for {model.family} trained with COCO"
+    source = "default for an unknown detector" if usual is None else f"usual for {model.family} trained with COCO"
     used["box_errors"] = metadata.get("box_errors", usual, source)
     placement, pad_grey = placement_and_grey(used["letterbox"].value)
     scale = {key: used[key].value for key in ("colours", "divisor", "mean", "std")}
@@ -107,16 +107,14 @@ def _names(path: Path, n_classes: int | None, metadata: ModelMetadata) -> Attrib
     """The network's class names: explicit, or the names of COCO or VOC if the number of classes matches."""
     explicit = metadata.get("names", None, "")
     if n_classes is None:
-        return metadata.get(
-            "names", COCO_CLASSES, "not in the model; COCO's, although the outputs do not show how many"
-        )
+        return metadata.get("names", COCO_CLASSES, "not in the model; COCO's are assumed, but the number is unknown")
     if explicit.value is None:
         if n_classes not in _DEFAULT_NAMES:
             raise ModelError(
                 f"{path}: {n_classes} classes without names; specify them with --names a,b,c or --names FILE."
             )
         list_name, names = _DEFAULT_NAMES[n_classes]
-        return Attribute(names, f"not in the model; {list_name}'s, because it has {n_classes} classes")
+        return Attribute(names, f"not in the model; {list_name}'s fit its {n_classes} classes")
     if len(explicit.value) != n_classes:
         raise ModelError(
             f"{path}: expected {n_classes} class names, got {len(explicit.value)} ({explicit.source}); "

@@ -114,7 +114,7 @@ _INTERVAL_S = 0.5  # between two evaluations
 _MAX_OBJECTS, _MAX_VALUES = 300, 600  # largest numbers that are kept
 _IS_EVIDENCE = np.array([not name.startswith("traffic") for name in SIZE_CLASSES])  # lights and signs vary too much
 _LANE = "the lane lines"
-_EFFECT = "Until then the sigmas of the distances that depend on it cover both, and no alarm is given."
+_EFFECT = "Until the doubt is resolved, the sigmas of affected distances cover both scales, and no alarm is given."
 _STEP = 0.02
 _LOG = np.arange(-3.2, 3.2 + _STEP / 2, _STEP)  # (G,) grid of what objects have in common
 

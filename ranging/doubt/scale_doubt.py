@@ -35,14 +35,14 @@ class ScaleDoubt(NamedTuple):
     def sentence(self, baseline_m: float | None) -> str:
         """What is in doubt, with the mistakes that fit, and what shows it."""
         doubts = "; or ".join(self._cause(*cause, baseline_m) for cause in self.causes)
-        return f"Scale in doubt: {doubts}. Evidence: {self.evidence}. Check it."
+        return f"Scale in doubt: {doubts}. Evidence: {self.evidence}. Check the doubtful value."
 
     def _cause(self, cause: Cause, factor: float, baseline_m: float | None) -> str:
         times = f"{factor:.2f} times (± {100 * self.sigma:.0f} %) what the drive shows"
         fits = known_mistakes(cause, factor, self.sigma)
         if cause == "baseline" and baseline_m is not None:
             times += f", {baseline_m / factor:.3g} m instead of {baseline_m:.3g} m"
-            fits.append(f"squares of the calibration given {factor:.2g} times as large as they were")
+            fits.append(f"squares of the calibration board entered {factor:.2g} times too large")
         return f"the {cause} is {times}" + (f" ({', '.join(fits)}?)" if fits else "")
 
 

@@ -141,7 +141,7 @@ def _check(settings: RangeEvaluationSettings, names: Sequence[str]) -> None:
         == (settings.velodyne is None),
         "--fit-frames: not allowed with --cross-validate, --same-drive or --curves.": is_refitted
         and (is_fitted or settings.curves),
-        "--fit-frames: expected --frames with other frames, which are evaluated.": is_refitted
+        "--fit-frames: expected --frames with other frames to evaluate, found none.": is_refitted
         and settings.frames is None,
     }
     for message, is_fault in faults.items():
@@ -161,7 +161,7 @@ def _with_split(settings: RangeEvaluationSettings) -> RangeEvaluationSettings:
     if settings.split is None:
         return settings
     if settings.frames is not None or settings.fit_frames is not None:
-        raise UsageError("--split: not allowed with --frames or --fit-frames, which it gives.")
+        raise UsageError("--split: not allowed with --frames or --fit-frames, because it sets both.")
     folders = [Path(settings.split)]
     if settings.split == CHEN:
         folders = [parent / _IMAGE_SETS for parent in settings.labels.absolute().parents[:_N_PARENTS]]

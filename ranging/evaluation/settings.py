@@ -10,7 +10,7 @@ from track_range.ranging.size_models.region import Region
 BoxesField = Annotated[
     str,
     option(
-        "Boxes to measure from: the labelled ones, or detections DIR/{Car,Pedestrian}/NAME.txt.",
+        "Boxes to measure from: labelled boxes, or detections DIR/{Car,Pedestrian}/NAME.txt.",
         metavar="labels|rrc:DIR",
     ),
 ]
@@ -33,14 +33,15 @@ class RangeEvaluationSettings(Options):
         Literal["none", "paper", "default"], option("Filter of the distances of each track over time.")
     ] = "none"
     cross_validate: Annotated[
-        bool, option("Cross-validation: size curves refitted for each sequence on the boxes of the others.")
+        bool, option("Cross-validation: size curves refitted for each sequence on the boxes of the other sequences.")
     ] = False
     same_drive: Annotated[
-        bool, option("Size curves fitted to the sequence they are evaluated on, as by Zhang et al. (too optimistic).")
+        bool,
+        option("Size curves fitted to the sequence that they are evaluated on, as by Zhang et al. (too optimistic)."),
     ] = False
     fit_on: Annotated[
         Literal["labels", "boxes"],
-        option("Boxes that size curves are fitted to: the labelled ones, or boxes as in --boxes and --noise-px."),
+        option("Boxes that size curves are fitted to: labelled boxes, or the boxes of --boxes and --noise-px."),
     ] = "labels"
     frames: Annotated[
         Path | None,
@@ -60,7 +61,10 @@ class RangeEvaluationSettings(Options):
     ] = None
     objects: Annotated[
         Literal["visible", "all"],
-        option("Objects: visible ones at 5-100 m, or all with a 3-D box, also cut, hidden and far ones."),
+        option(
+            "Objects to evaluate: visible objects at 5-100 m, or all objects with a 3-D box, including cut off, "
+            "hidden and far objects."
+        ),
     ] = "visible"
     truth: Annotated[
         ReferenceName,

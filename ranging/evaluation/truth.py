@@ -87,10 +87,13 @@ def _of_table(path: Path, camera: PinholeCamera) -> Truth:
     size_px = (camera.width_px, camera.height_px)
     table = read_labels(path, VideoFacts(size_px=size_px), expected="ground truth")
     if (table.track_id[~table.is_region] < 0).any():
-        raise LabelFileError(f"{path}: expected labels with track ids as ground truth, found boxes without.")
+        raise LabelFileError(f"{path}: expected labels with track ids as ground truth, found boxes without track ids.")
     distance_m = np.where(_is_cut(table.xyxy_px, camera) | (table.distance_m <= 0), np.nan, table.distance_m)
     if np.isfinite(distance_m).any():
-        origin = f"{path.name}: the distances are those of its labels; in an export of a run, they are the run's own."
+        origin = (
+            f"{path.name}: the true distances are read from the labels; in an export of a run, they are only the "
+            "distances of that run."
+        )
     else:
         origin = f"{path.name}: the labels have no distances, so only the tracks are evaluated."
     return Truth(

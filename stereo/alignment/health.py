@@ -26,11 +26,11 @@ _MIN_MOVE_SIGMAS = 3.5  # smallest noticed movement in standard deviations: the 
 
 # Errors of a rig that no estimate from images contains.
 UNSEEN = (
-    "A wrong baseline, or a wrong focal length of both cameras, cannot be seen in the images: it scales all distances "
-    "alike (1 % of the baseline: 1 % of every distance). Check one known distance."
+    "A wrong baseline, or a wrong focal length of both cameras, cannot be seen in the images: either error scales all "
+    "distances by the same factor (1 % of the baseline changes every distance by 1 %). Check one known distance."
 )
 
-_PART = "without that of the baseline"  # what images can show
+_PART = "without the error of the baseline"  # what images can show
 
 State = Literal["good", "off", "unknown"]
 
@@ -149,8 +149,8 @@ class RigHealth:
             return f"Rig: fits the images; expected error at {distance}, {_PART}: {after} (1 sigma)."
         if not self.has_disparity_error:
             return (
-                f"Rig: left and right differ in rows; expected error at {distance} once corrected, {_PART}: {after} "
-                "(1 sigma)."
+                f"Rig: left and right images differ vertically; expected error at {distance} after correction, "
+                f"{_PART}: {after} (1 sigma)."
             )
         left_pct, middle_pct, right_pct = self.before_pct(REFERENCE_M).tolist()
         before = f"{middle_pct:+.1f} % in the middle, {left_pct:+.1f} and {right_pct:+.1f} % half-way to the edges"
@@ -174,8 +174,8 @@ class RigHealth:
         change = f"{move.change_px:+.2f} ± {move.sigma_px:.2f} px"
         pct = 100 * abs(move.change_px) * REFERENCE_M / self._fb
         return (
-            f"Rig: moved at about {move.time_s:.1f} s, disparities by {change} ({pct:.1f} % at {REFERENCE_M:.0f} m); "
-            "fix the cameras."
+            f"Rig: a camera moved at about {move.time_s:.1f} s, which changed disparities by {change} ({pct:.1f} % at "
+            f"{REFERENCE_M:.0f} m); mount the cameras more firmly."
         )
 
     @property

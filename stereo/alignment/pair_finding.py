@@ -45,11 +45,11 @@ _YAW_ERROR_DEG = 0.7  # largest error of the yaw from rows
 _MIN_YAW_DEG, _CLEAR_YAW_DEG, _SMALL_YAW, _CLEAR_YAW, _MAX_REST = 0.5, 1.5, 1.05, 0.8, 0.6
 _MIN_ROWS_PX = 1.5  # smallest error of rows that is corrected here
 CORRECTED = "corrected, but calibrate again."
-GIVEN = "--align auto corrects it; with the given alignment, distances come from the left video alone."
+GIVEN = "--align auto corrects this error; with the given alignment, distances come from the left video alone."
 WITHOUT_STEREO = " Distances come from the left video alone."  # end of the sentence on a refused pair
 LATER = (
-    "not seen before the vehicle moved, so distances come from the left video alone; start the run where it moves "
-    "(--start), or calibrate again."
+    "this error was found only after the vehicle moved, so distances come from the left video alone; start the run "
+    "where it moves (--start), or calibrate again."
 )
 _ARRANGED = {
     "turned": "upside down (turned by 180 degrees)",
@@ -88,8 +88,8 @@ def find_fault(figures: PairFigures, rig: StereoRig) -> PairFinding:
         few = f"{_pct(n_agreeing / figures.n_matches)} of {figures.n_matches} points that match are in consistent rows"
         if figures.n_matches > _MAX_CHANCE * n_tracked:
             return _refused(
-                f"{few}: the rig is another one, a camera has turned, or left and right are of different times; check "
-                "the rig and the videos, or calibrate again"
+                f"{few}: the rig belongs to other cameras, a camera has turned, or left and right images are from "
+                "different times; check the rig and the videos, or calibrate again"
             )
         return _refused(
             f"{few}, and successive left images have {figures.n_tracked:.0f} matches each: the videos show different "
@@ -101,8 +101,8 @@ def find_fault(figures: PairFigures, rig: StereoRig) -> PairFinding:
         return PairFinding("unsteady")
     if _is_without_parallax(figures, rig):
         return _refused(
-            f"{100 * _EQUAL_FRACTION:.0f} % or more of {n_agreeing} matched points have no disparity, near and far "
-            "ones: left and right come from one camera; give the videos of both cameras"
+            f"{100 * _EQUAL_FRACTION:.0f} % or more of {n_agreeing} matched points have no disparity, whether near or "
+            "far: left and right images come from one camera; give the videos of both cameras"
         )
     exchanged, is_upright = _exchange(figures, rig)
     if figures.arrangement != "equal":
@@ -179,7 +179,7 @@ def _arranged(figures: PairFigures, exchanged: bool | None) -> PairFinding:
 def _exchanged(figures: PairFigures, rig: StereoRig, is_upright: bool | None) -> PairFinding:
     evidence = _negative(figures, rig)
     if is_upright is False:
-        where = "and near points are at the top of the images; turned back."
+        where = "and near points are at the top of the images; they are turned back."
         return PairFinding("turned", f"Both videos are upside down (turned by 180 degrees): {evidence}, {where}")
     other = "if both are mirrored, mirror them instead" if is_upright else "or turn both, if they are upside down"
     return PairFinding("swapped", f"left and right are swapped: {evidence}; swap the two videos ({other}).")

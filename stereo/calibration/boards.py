@@ -140,7 +140,10 @@ def _chess_of(text: str, square_mm: float | None) -> ChessBoard:
 def _charuco_of(text: str, square_mm: float | None) -> CharucoBoard:
     parts = text.split(":")
     if len(parts) not in (4, 5):
-        raise ValueError(f"'{text}': expected charuco:COLUMNSxROWS:SQUARE_MM:MARKER_MM[:DICTIONARY], in squares.")
+        raise ValueError(
+            f"'{text}': expected charuco:COLUMNSxROWS:SQUARE_MM:MARKER_MM[:DICTIONARY], with columns and "
+            "rows counted in squares."
+        )
     n_columns, n_rows = _sides(parts[1], text)
     try:
         side_mm, marker_mm = float(parts[2]), float(parts[3])
@@ -167,5 +170,7 @@ def _charuco_of(text: str, square_mm: float | None) -> CharucoBoard:
 def _sides(size: str, text: str) -> tuple[int, int]:
     match = _SIZE.fullmatch(size)
     if match is None:
-        raise ValueError(f"'{text}': expected a board, as its inner corners 9x6 or as charuco:5x7:40:20:4X4_50.")
+        raise ValueError(
+            f"'{text}': expected a board, given by its inner corners such as 9x6 or as charuco:5x7:40:20:4X4_50."
+        )
     return int(match[1]), int(match[2])

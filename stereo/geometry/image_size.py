@@ -43,7 +43,7 @@ def size_alternatives(camera: PinholeCamera, size_px: tuple[int, int]) -> tuple[
     if abs(camera.cx_px - (width - 1) / 2) <= _OFF_CENTRE * width:
         return ()
     return tuple(
-        FocalAlternative(w / width, f"K is that of images of {w}x{h} px, which were resized")
+        FocalAlternative(w / width, f"K belongs to images of {w}x{h} px that were resized")
         for w, h in _centred_sizes(camera, size)
     )
 
@@ -78,7 +78,10 @@ def fitted_to_size(
                 f"({camera.cx_px:.1f}, {camera.cy_px:.1f}), as in images of {_listed(_centred_sizes(camera, size_px))} "
                 "px; give the calibration of these images."
             )
-        notes = (f"{source}: the calibration has no image size; taken for {width}x{height} px, that of the images.",)
+        notes = (
+            f"{source}: the calibration has no image size; it is taken to be {width}x{height} px, the size of the "
+            "images.",
+        )
     elif not is_size_of(camera, size_px):
         if not has_aspect_of(camera, size_px):
             raise RigError(
@@ -89,8 +92,8 @@ def fitted_to_size(
         notes = (
             f"{source}: calibration scaled from {calibrated} px to the image size, {width}x{height} px, assuming that "
             f"the images are resized: focal length {fitted.fx_px:.0f} px. If they are cropped, as in modes that use a "
-            f"part of the sensor, it is {camera.fx_px:.0f} px, and distances are {camera.width_px / width:.2f} times "
-            "as long: then give the calibration of these images.",
+            f"part of the sensor, the focal length is {camera.fx_px:.0f} px, and distances are "
+            f"{camera.width_px / width:.2f} times as long; in that case, give the calibration of these images.",
         )
     doubts = size_alternatives(camera, size_px)
     if doubts:
@@ -106,8 +109,8 @@ def fitted_to_size(
             f"{abs(camera.cx_px + 0.5 - own[0] / 2) / own[0]:.0%} of the width off the middle of {own[0]}x{own[1]} px "
             f"(usual: up to {_CENTRED:.0%}), but central in {_listed(sizes)} px. If images were resized from {size} "
             f"px, the focal length is {fitted.fx_px / likely.factor:.0f} px instead of {fitted.fx_px:.0f} px, and "
-            f"distances are {likely.factor:.2f} times what they should be: then {advice}. If they were cropped, it is "
-            "right. The sigmas of all distances cover both.",
+            f"distances are {likely.factor:.2f} times what they should be; in that case, {advice}. If they were "
+            "cropped, the focal length is right. The sigmas of all distances cover both.",
         )
     return fitted, (*notes, *field_notes(fitted, source))
 

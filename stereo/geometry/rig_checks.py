@@ -83,7 +83,7 @@ class RigCalibration:
             return self
         motion = self.right_from_left.copy()
         motion[:3, 3] *= metres_per_unit / self.metres_per_unit
-        notes = (*(note for note in self.notes if "baseline is" not in note), "The unit of lengths is the given one.")
+        notes = (*(note for note in self.notes if "baseline is" not in note), "Lengths are in the given unit.")
         return replace(
             self,
             right_from_left=motion,
@@ -100,8 +100,8 @@ def check_rig(rig: StereoRig, source: object) -> None:
     check_camera(rig.right, f"{source}: right")
     if not np.abs(rig.right_from_left).max() <= _MAX_TRANSFORM:
         raise RigError(
-            f"{source}: expected finite numbers up to {_MAX_TRANSFORM:g} in right_from_left, found others; calibrate "
-            "again."
+            f"{source}: expected finite numbers up to {_MAX_TRANSFORM:g} in right_from_left, found other values; "
+            "calibrate again."
         )
     rotation = rig.right_from_left[:3, :3]
     deviation = float(np.abs(rotation.T @ rotation - np.eye(3)).max())

@@ -92,8 +92,8 @@ def virtual_pinhole(camera: PinholeCamera, fov_deg: float | None = None, yaw_deg
     width_px, height_px = (2 * round(side_px / 2) for side_px in (left_px + right_px, up_px + down_px))
     if min(width_px, height_px) < _MIN_SIDE_PX:
         raise RigError(
-            f"--yaw-deg {yaw_deg:g}: expected a direction that the lens sees, found {width_px}x{height_px} px of it; "
-            "choose one nearer to the middle of the image."
+            f"--yaw-deg {yaw_deg:g}: expected a direction that the lens sees, found only {width_px}x{height_px} px in "
+            "view; choose one nearer to the middle of the image."
         )
     return PinholeCamera(focal_px, focal_px, left_px - 0.5, up_px - 0.5, width_px, height_px)
 

@@ -72,8 +72,8 @@ def rig_of(left: CameraInfo, right: CameraInfo, path: Path, *, is_rectified: boo
         offset = f"{left.p[0, 3]:.6g} in both matrices P"
         cause = "; both seem to be of the right camera" if left.p[0, 3] else ""
         raise RigError(
-            f"{path}: expected a baseline, P[0, 3] = 0 of the left camera, -f B of the right one, found {offset}{cause}"
-            "; calibrate the cameras as a pair, or give a rig.yaml."
+            f"{path}: expected a baseline (P[0, 3] = 0 for the left camera and -f B for the right one), found "
+            f"{offset}{cause}; calibrate the cameras as a pair, or give a rig.yaml."
         )
     left_focal_px, right_focal_px = ((message.p[0, 0], message.p[1, 1]) for message in (left, right))
     left_row_px, right_row_px = left.p[1, 2], right.p[1, 2]

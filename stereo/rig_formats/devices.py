@@ -64,8 +64,8 @@ def _read_zed(text: str, path: Path) -> RigCalibration:
     modes.sort(key=lambda mode: mode != "HD")  # the usual one first
     sizes = ", ".join("{}x{}".format(*_ZED_SIZES.get(mode, (0, 0))) for mode in modes)
     note = (
-        f"{path}: {_ZED_TITLE}: lengths in millimetres; sections for images of {sizes} px. The images are taken as "
-        "recorded (unrectified), one image of a pair of this size."
+        f"{path}: {_ZED_TITLE}: lengths in millimetres; sections for images of {sizes} px. The images are taken to be "
+        "unrectified, as recorded; each image of a pair has one of these sizes."
     )
     first, *others = [replace(_zed_mode(values, mode, path), notes=(note,)) for mode in modes]
     return replace(first, others=tuple(others))
@@ -166,8 +166,8 @@ def _read_oak(text: str, path: Path) -> RigCalibration:
             note = f"{path}: {_OAK_TITLE} of one camera, socket {sockets}."
             return RigCalibration(next(iter(cameras.values())).camera(), None, None, notes=(note,))
         raise RigError(
-            f"{path}: expected calibrated cameras in the sockets {left} and {right}, found those of {sockets}"
-            "; give the calibration of a camera with a stereo pair."
+            f"{path}: expected calibrated cameras in the sockets {left} and {right}, found calibrations of the sockets "
+            f"{sockets}; give the calibration of a camera with a stereo pair."
         )
     motion = _route(cameras, left, right, "translation")
     specified = _route(cameras, left, right, "specTranslation")
@@ -190,7 +190,7 @@ def _read_oak(text: str, path: Path) -> RigCalibration:
     cropped = [_cropped(cameras[socket].camera()) for socket in (left, right)]
     if cropped[0] is None or cropped[1] is None:
         return rig
-    crop_note = f"{path}: rows are left out at the top and the bottom of images in 16:9, as in the sensor's modes."
+    crop_note = f"{path}: images in 16:9 lack rows at the top and the bottom, as in the sensor's modes."
     return replace(rig, others=(replace(rig, left=cropped[0], right=cropped[1], notes=(note, crop_note)),))
 
 

@@ -96,7 +96,7 @@ def calibration_of_blocks(content: Mapping[str, Any], source: object, notes: lis
     second_from_first = _second_from_first(first_block, second_block)
     if second_from_first is None or not np.allclose(second_from_first[3], [0.0, 0.0, 0.0, 1.0]):
         raise RigError(
-            f"{source}: cam1: expected 'T_cn_cnm1' with 0, 0, 0, 1 in the last row, found none or others; {_HINT}."
+            f"{source}: cam1: expected 'T_cn_cnm1' with 0, 0, 0, 1 in the last row, found no such matrix; {_HINT}."
         )
     if second_from_first[0, 3] > abs(second_from_first[1, 3]):
         notes.append(f"{source}: cam1 is to the left of cam0, so cam1 is used as the left camera.")

@@ -139,7 +139,7 @@ def _unrectified(text: str, source: object, pair: tuple[int, int], notes: tuple[
             values[name] = _numbers(line, _RAW_COUNTS[name[0]], f"{source}: {name}")
             if not np.abs(values[name]).max() <= _MAX_VALUE:  # also NaN
                 raise RigError(
-                    f"{source}: {name}: expected numbers up to {_MAX_VALUE:g}, found others; correct the line."
+                    f"{source}: {name}: expected numbers up to {_MAX_VALUE:g}, found other values; correct the line."
                 )
     cameras, motions = [], []
     for number in pair:
@@ -153,7 +153,7 @@ def _unrectified(text: str, source: object, pair: tuple[int, int], notes: tuple[
         return None
     left, right = pair
     note = (
-        f"{source}: K, D, R and T of cameras {left} and {right}, as the images are of KITTI's size before "
+        f"{source}: using K, D, R and T of cameras {left} and {right}, because the images have KITTI's size before "
         f"rectification, {cameras[0].width_px}x{cameras[0].height_px} px."
     )
     if len(cameras) == 1:
@@ -212,7 +212,7 @@ def _size(values: str, name: str) -> tuple[int, int]:
 
 KITTI = RigFormat(
     name="kitti",
-    title="KITTI's calib.txt, or that of KITTI-360 or DrivingStereo",
+    title="calib.txt of KITTI, KITTI-360 or DrivingStereo",
     recognises=_has_projections,
     read=_read,
     missing=_missing,

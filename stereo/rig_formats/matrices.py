@@ -57,7 +57,7 @@ _M = re.MULTILINE
 KINDS = (
     Kind("middlebury", "Middlebury's calib.txt", re.compile(r"^cam0\s*=\s*\[", _M), 0.001, is_rectified=True),
     Kind("cityscapes", "Cityscapes' camera.json", re.compile(r'"baseline"[\s\S]*"u0"|"u0"[\s\S]*"baseline"'), 1.0,
-         (2048, 1024), "images of 2048x1024 px, as all of Cityscapes", is_rectified=True),
+         (2048, 1024), "images of 2048x1024 px, the size of all Cityscapes images", is_rectified=True),
     Kind("foundation-stereo", "FoundationStereo's K.txt", K_AND_BASELINE, 1.0, is_rectified=True),
     Kind("virtual-kitti", "Virtual KITTI's intrinsic.txt", VIRTUAL_KITTI, 1.0, (1242, 375),
          "the baseline of Virtual KITTI 2 and its images of 1242x375 px", is_rectified=True),
@@ -120,7 +120,8 @@ def read_kind(kind: Kind, text: str, path: Path, *, is_pair: bool) -> RigCalibra
         if sides[0] == "left":
             notes.append(
                 f"{path}: R and T put the right camera to the left of the left one, so they are read as the transform "
-                "from the right camera to the left one; if left and right are swapped instead, swap them."
+                "from the right camera to the left one; if the left and the right camera are swapped instead, swap "
+                "them in the file."
             )
         else:
             left, right = right, left
@@ -195,7 +196,7 @@ def _motion(given: Quantities, pair: Pair, path: Path, notes: list[str]) -> Floa
         projections, rotations = _projections(given, pair), [given.of(side, "rect") for side in pair]
         if projections is not None and all(rotation is not None for rotation in rotations):
             r1, r2 = (rotation.reshape(3, 3) for rotation in rotations)
-            notes.append(f"{path}: R and T by R1, R2, P1 and P2.")
+            notes.append(f"{path}: R and T are computed from R1, R2, P1 and P2.")
             return rigid_motion(r2.T @ r1, r2.T @ [_offset(*projections), 0.0, 0.0])
     of_second = {"M2": ("K", "fx"), "D2": ("D", "radial", "k1")}
     missing = [name for name, keys in of_second.items() if not any((pair[1], key) in given.values for key in keys)]
@@ -264,7 +265,9 @@ def _unit(kind: Kind, given: Quantities, length: float) -> tuple[float, str]:
     if kind.name == "matlab":
         return 0.001, "assuming millimetres, MATLAB's default"
     if length <= _VEHICLE:
-        wide = "; that is wide: if T counts squares of the board, multiply it by their side" if length > _WIDE_M else ""
+        wide = (
+            "; a wide baseline: if T counts squares of the board, multiply T by their side" if length > _WIDE_M else ""
+        )
         of_board = "that the square size was given in metres" if (None, "T") in given.values else "metres"
         return 1.0, f"assuming {of_board}{wide}"
     if length <= _CENTIMETRES:
@@ -351,8 +354,8 @@ def _is_fisheye(given: Quantities, sides: list[Side], path: Path, notes: list[st
     is_wide = bool(2 * k[2] > _FISHEYE_RAD * k[0])
     lens, other = ("OpenCV's fisheye model", 0) if is_wide else ("k1, k2, p1, p2 of a usual lens", 1)
     notes.append(
-        f"{path}: the four coefficients are read as {lens}, by the field of view "
-        f"of {math.degrees(2 * math.atan(k[2] / k[0])):.0f} degrees; else add fisheye_model: {other}."
+        f"{path}: the four coefficients are read as {lens}, because of the field of view of "
+        f"{math.degrees(2 * math.atan(k[2] / k[0])):.0f} degrees; if this is wrong, add fisheye_model: {other}."
     )
     return is_wide
 
@@ -430,20 +433,20 @@ def _unusable(given: Quantities, path: Path) -> str:
 
 _SEEN = (
     (r"stereo_?map|_map_?[xy]|map[lr12]?_?[xy]\b|remap|rectify_?map", (
-        "expected camera matrices, and this file seems to have remap tables only",
+        "expected camera matrices, but this file seems to contain only remap tables",
         "give the file with M1, D1, M2, D2, R and T, or P1 and P2, of the same calibration",
     )),
     (r"imagelist|images", (
-        "expected a calibration, and this file seems to be a list of images for one",
+        "expected a calibration, but this file seems to list images for a calibration",
         "track-range calibrate --stereo 'left*.jpg' 'right*.jpg' --board 9x6 --square-mm 24 calibrates with them",
     )),
     (r"\br\b|\bt\b", (
-        "expected the matrix M1 in this file or in an intrinsics file in its folder, and this file seems to have "
-        "extrinsics only",
+        "expected the matrix M1 in this file or in an intrinsics file in its folder, but this file seems to contain "
+        "only extrinsics",
         "give stereo_calib's intrinsics.yml beside it",
     )),
     (r"controls-|param-|parameters\.", (
-        "expected a calibration, and this file seems to be RealSense's settings",
+        "expected a calibration, but this file seems to contain RealSense's settings",
         "rs-enumerate-devices -c > rig.txt writes the calibration",
     )),
 )  # fmt: skip

@@ -34,8 +34,8 @@ def save_opencv(cameras: StereoRig | PinholeCamera, path: Path) -> None:
     left, right = (cameras.left, cameras.right) if isinstance(cameras, StereoRig) else (cameras, cameras)
     if left.lens != right.lens or left.lens not in (PINHOLE, KANNALA_BRANDT):
         raise RigError(
-            f"{path}: expected the lens {PINHOLE} or {KANNALA_BRANDT} for OpenCV's format, the same of both "
-            f"cameras, got {' and '.join(sorted({left.lens, right.lens}))}; write a rig.yaml."
+            f"{path}: expected the lens {PINHOLE} or {KANNALA_BRANDT} for OpenCV's format, the same for both cameras, "
+            f"got {' and '.join(sorted({left.lens, right.lens}))}; write a rig.yaml."
         )
     matrices: dict[str, npt.ArrayLike]
     if isinstance(cameras, StereoRig):

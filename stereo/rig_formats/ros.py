@@ -199,13 +199,13 @@ def _pair(first: _Camera, second: _Camera, source: Path) -> RigCalibration:
     left, right = (first, second) if offset_m >= other_offset_m else (second, first)
     if left.is_raw != right.is_raw:
         raise RigError(
-            f"{source}: expected K and D of both cameras or of none, found those of one; add or remove them."
+            f"{source}: expected K and D of both cameras or of neither, found K and D of one; add or remove them."
         )
     is_rectified = left.is_rectified and right.is_rectified
     rig = rig_of(left.info, right.info, source, is_rectified=is_rectified)
     name = "the first document" if first.path == second.path else first.path.name
     note = (
-        f"{source}: {_TITLE}, {name} is the {'left' if left is first else 'right'} camera by P[0, 3] = -f B; "
+        f"{source}: {_TITLE}; {name} is the {'left' if left is first else 'right'} camera by P[0, 3] = -f B; "
         f"{_assumption(is_rectified=is_rectified)}."
     )
     return RigCalibration(rig.left, rig.right, rig.right_from_left, notes=(note,))

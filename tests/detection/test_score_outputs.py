@@ -152,7 +152,7 @@ def test_attributes_beside_the_model_are_copied(scene, cli):
     assert YoloDetector(scene / "out.onnx").model.names == ("car",)
     (scene / "out.yaml").write_text("names: [truck]\n")
     status, _, errors = calibrate(cli, scene)
-    assert (status, "the attributes of nano.onnx, found others" in " ".join(errors.split())) == (1, True)
+    assert (status, "the attributes of nano.onnx, found other attributes" in " ".join(errors.split())) == (1, True)
 
 
 def test_scores_that_say_nothing_are_refused(scene):

@@ -193,7 +193,7 @@ def test_lane_lines_measure_the_height_of_the_camera():
 
 def test_a_sentence_names_the_causes_that_fit():
     sentence = ScaleDoubt(2.5, 0.06, 4, (("baseline", 2.5), ("speed", 1.61)), "sizes").sentence(0.5)
-    for part in ("2.50 times", "± 6 %", "0.2 m instead of 0.5 m", "read as inches", "2.5 times as large"):
+    for part in ("2.50 times", "± 6 %", "0.2 m instead of 0.5 m", "read as inches", "2.5 times too large"):
         assert part in sentence
     assert "km/h read as miles per hour" in sentence
     assert "feet" not in sentence

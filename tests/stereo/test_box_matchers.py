@@ -26,7 +26,7 @@ def test_all_matchers_on_exact_pairs(tmp_path: Path) -> None:
         assert ((column.sigma_px > 0) & (column.sigma_px < 1)).all(), name
         assert measured.ms_per_frame[name] > 0
     assert len(measured.notes) == 1
-    assert "has no image size; taken for" in measured.notes[0]
+    assert "has no image size; it is taken to be" in measured.notes[0]
 
 
 def test_tracks_of_a_drive_are_groups(tmp_path: Path) -> None:

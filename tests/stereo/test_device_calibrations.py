@@ -104,7 +104,7 @@ def test_oak(tmp_path):
     assert "0.09 m" in notes[0]
     rig, notes = load_rig(path, size_px=(640, 360))
     assert (rig.left.fx_px, rig.left.cy_px) == (400, (400 - 40 + 0.5) / 2 - 0.5)  # 40 of 800 rows, then half the size
-    assert any("rows are left out" in note for note in notes)
+    assert any("lack rows" in note for note in notes)
     content = oak()
     content["cameraData"][0][1]["cameraType"] = 1
     path.write_text(json.dumps(content))

@@ -31,7 +31,7 @@ HD = PinholeCamera(1150.0, 1150.0, 655.0, 349.0, 1280, 720)  # 1 % of the width 
 def test_a_calibration_without_a_size(size_px, factor):
     camera, notes = fitted_to_size(KITTI, size_px, "calib.txt")
     assert camera == dataclasses.replace(KITTI, width_px=size_px[0], height_px=size_px[1])
-    assert f"no image size; taken for {size_px[0]}x{size_px[1]} px" in notes[0]
+    assert f"no image size; it is taken to be {size_px[0]}x{size_px[1]} px" in notes[0]
     assert [other.factor for other in size_alternatives(KITTI, size_px)][:1] == ([] if factor is None else [factor])
     assert len(notes) == (1 if factor is None else 2)
     if factor is not None:

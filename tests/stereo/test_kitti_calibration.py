@@ -47,7 +47,7 @@ def test_kitti_by_hand(tmp_path: Path) -> None:
     assert rig.baseline_m == pytest.approx(0.5)
     assert rig.is_rectified
     assert len(notes) == 1
-    assert "no image size; taken for 1280x720 px" in notes[0]
+    assert "no image size; it is taken to be 1280x720 px" in notes[0]
     grey, _ = load_rig(path, size_px=SIZE, is_grey=True)
     assert (grey.left.fx_px, grey.baseline_m) == (700, pytest.approx(0.5))
     # t = K^-1 P[:, 3]: z = 0.004, x = (50 - 650 z) / 1000, y = (2 - 350 z) / 1000

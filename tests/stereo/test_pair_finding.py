@@ -137,7 +137,7 @@ def test_recordings_go_on_without_stereo_where_the_first_motion_contradicts_the_
     assert all(has_stereo[:90])
     assert not any(has_stereo[115:])
     (note,) = [note for note in recording.notes if "px too large" in note]
-    assert "not seen before the vehicle moved" in note
+    assert "found only after the vehicle moved" in note
 
 
 @pytest.mark.slow

@@ -187,9 +187,9 @@ def _warnings(search: BoardSearch, cameras: Mapping[str, CameraCalibration]) -> 
         image_deg = max(math.degrees(angle_rad) for angle_rad in field_of_view(calibration.camera))
         if image_deg > reach_deg + _REACH_DEG:
             warnings.append(
-                f"{name}: the corners reach {reach_deg:.0f} degrees from the optical axis, the image {image_deg:.0f}: "
-                "the lens model is extrapolated beyond the corners; show the board near the edges, and use at most "
-                f"--fov-deg {2 * reach_deg:.0f}."
+                f"{name}: the corners reach {reach_deg:.0f} degrees from the optical axis and the image "
+                f"{image_deg:.0f} degrees: the lens model is extrapolated beyond the corners; show the board near the "
+                f"edges, and use at most --fov-deg {2 * reach_deg:.0f}."
             )
     sizes = {f"{one.camera.width_px}x{one.camera.height_px} px" for one in cameras.values()}
     if len(sizes) > 1:

@@ -27,7 +27,7 @@ _StereoLayout = Annotated[
     LayoutOption,
     option(
         "Where the images of both cameras are in one video: beside or below each other, the left camera's first or "
-        "second, or in two video tracks; by default as the file, its name or the images show."
+        "second, or in two video tracks(default: as the file, its name or the images show)."
     ),
 ]
 
@@ -75,8 +75,8 @@ class CalibrationSettings(Options):
     mono: Annotated[
         str | None,
         option(
-            "Images of one camera: a pattern in quotes ('boards/*.jpg'), a folder, or a video; without --board, those "
-            "of a drive.",
+            "Images of one camera: a pattern in quotes ('boards/*.jpg'), a folder, or a video; without --board, "
+            "images of a drive.",
             metavar="IMAGES",
         ),
     ] = None
@@ -108,7 +108,7 @@ class CalibrationSettings(Options):
     lens_terms: Annotated[
         int,
         option(
-            "Number of distortion coefficients of a pinhole: 4 = k1 k2 p1 p2, 5 = also k3, 8 = also k4 k5 k6.",
+            "Number of distortion coefficients of a pinhole: 4 = k1 k2 p1 p2; 5 adds k3; 8 adds k4 k5 k6.",
             metavar="0|4|5|8",
         ),
     ] = 5
@@ -122,8 +122,8 @@ class CalibrationSettings(Options):
         tuple[str, ...],
         option(
             "Known distance of an object, along the camera's axis to its nearest surface, with its box in pixels of "
-            "the video T_S seconds after the start: 'T_S,X1,Y1,X2,Y2=12.4'; with a class behind Y2 if the detector "
-            "does not know it, 'T_S,X1,Y1,X2,Y2,van=12.4'. Repeat for more.",
+            "the video T_S seconds after the start: 'T_S,X1,Y1,X2,Y2=12.4'; if the detector does not find the object, "
+            "add a class after Y2: 'T_S,X1,Y1,X2,Y2,van=12.4'. Repeat the option for further objects.",
             **_KNOWN_BOX,
         ),
     ] = ()

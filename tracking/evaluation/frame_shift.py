@@ -67,7 +67,9 @@ def frame_shift_note(
             f"{name}: the tracks match the ground truth much better if their frame numbers are {change}; "
             "check that the frame numbers of both start at 0.",
         )
-    advice = f"they match if the frame numbers of the tracks are {change}" if shift else "check which video they are of"
+    advice = (
+        f"they match if the frame numbers of the tracks are {change}" if shift else "check that both are of one video"
+    )
     return (
         f"{name}: no frame has both ground truth, in frames {truth_frame.min()} to {truth_frame.max()}, and tracks, in "
         f"frames {frame.min()} to {frame.max()}; {advice}.",

@@ -39,7 +39,7 @@ _EIGHTY_PER_CENT = (
     "pairs may be matched, see IDsw"
 )
 REASONS: Mapping[str, str] = {  # why motmetrics' score may differ, by field of `TrackingScores`
-    "mota": "follows from IDsw, FP and FN",
+    "mota": "a consequence of the differences in IDsw, FP and FN",
     "motp": _MATCHING,
     "idf1": "the definitions agree",
     "idp": "the definitions agree",

@@ -109,8 +109,8 @@ class CocoFile:
         """The objects of a list of the file, each with its place for messages."""
         if isinstance(self._document, list):
             raise LabelFileError(
-                f"{self.path}: expected a COCO data set with images, annotations and categories, found a list, as of "
-                "detection results; add its boxes to a data set."
+                f"{self.path}: expected a COCO data set with images, annotations and categories, found a list, such as "
+                "detection results; add the boxes to a data set."
             )
         values = self._document.get(key) if isinstance(self._document, dict) else None
         if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
@@ -224,7 +224,7 @@ class CocoFile:
             return self._identities.setdefault(name, len(self._identities))
         self._has_numbers = True
         if self._identities:
-            raise self._fault(where, f"a text as {key}, as before", name)
+            raise self._fault(where, f"a text as {key}, as in the objects before", name)
         return self._integer(item, key, where, -1, MAX_ID)
 
     def _id(self, item: _Object, key: str, where: str) -> int | str:

@@ -90,7 +90,7 @@ def read_csv_labels(path: Path) -> CsvLabels:
     expected = f"a first line with the columns {','.join(REQUIRED)} (optional: {','.join(OPTIONAL)})"
     table = read_csv_table(path, LabelFileError, expected, exact=True)
     if len(table.header) == 1 or not set(REQUIRED) & set(table.header):
-        raise LabelFileError(f"{path}: expected {expected}, got a file without them.")
+        raise LabelFileError(f"{path}: expected {expected}, got a file without these columns.")
     table.require(REQUIRED)
     table.refuse_duplicates(OPTIONAL)
     names = [name.lower() for name in table.texts("class")]

@@ -214,14 +214,14 @@ class _Content:
             return notes
         if first or self._root == "job":
             notes.append(
-                f"{name}: covers frames {first or 0} to {last} only, so tracks in other frames have no labels; for a "
-                "task with several jobs, export the task."
+                f"{name}: covers frames {first or 0} to {last} only, so tracks in other frames have no labels; if the "
+                "task has several jobs, export the whole task."
             )
         ends = boxes[is_end]
         if n_open := int((~ends["is_outside"] & (ends["frame"] < last)).sum()):
             notes.append(
-                f"{name}: no box is marked as outside at the end of {counted(n_open, 'track')}; the last box is taken "
-                "to be the end."
+                f"{name}: no box is marked as outside at the end of {counted(n_open, 'track')}; each of them is taken "
+                "to end at the last box."
             )
         return notes
 
@@ -310,7 +310,7 @@ def _identities(table: BoxTable) -> tuple[IntArray, tuple[str, ...]]:
     n_new, next_id = int(is_new.sum()), int(ids.max(initial=-1)) + 1
     ids[is_new] = next_id + np.arange(n_new)
     n_boxes = n_new - int(table.is_region.sum())
-    notes = [f"Boxes without an identity, each written as a track of one frame: {n_boxes}."] if n_boxes else []
+    notes = [f"Boxes without an identity are each written as a track of one frame: {n_boxes}."] if n_boxes else []
     _, class_number = np.unique(table.class_name, return_inverse=True)
     pairs, pair_number = np.unique(np.stack([ids, class_number]), axis=1, return_inverse=True)
     is_other = np.diff(pairs[0], prepend=-1) == 0

@@ -186,7 +186,7 @@ def _layout_of_six(rows: NumberRows, form: str | None) -> str:
         problem = "both" if are_corners else "neither"
         raise rows.error(
             f"{rows.path}: expected 6 columns frame,x1,y1,x2,y2,score or frame,id,x,y,w,h, found rows that are valid "
-            f"boxes in {problem}; add the score as a seventh column to the second, or write fractions as scores."
+            f"boxes in {problem}; add the score as a seventh column to rows with an id, or write scores as fractions."
         )
     return "corners" if are_corners else "mot without scores"
 
@@ -240,13 +240,16 @@ def mot_rows(rows: NumberRows, *, n_frames: int | None = None, form: str | None 
     first = first_frame_number(frame, layout.first, n_frames)
     notes = []
     if first != layout.first:
-        notes.append(f"{path.name}: its frame numbers start at {first}, and are read so; {layout.first} is usual.")
+        notes.append(
+            f"{path.name}: frame numbers start at {first} and are read as they are; this format usually "
+            f"starts at {layout.first}."
+        )
     names, labels = layout.names, path.with_name("labels.txt")
     if name in ("mot", "boxmot") and class_number.any() and labels.is_file():  # as in exports of CVAT and Datumaro
         text = read_text(labels, rows.error, "the names of the classes, one per line")
         names = dict(enumerate((line.strip() for line in text.splitlines()), start=1))
         name = "labels.txt"
-        notes.append(f"{path.name}: the names of its classes are those of labels.txt.")
+        notes.append(f"{path.name}: class names are read from labels.txt.")
     x, y, score = column("x", 0) - layout.first, column("y", 0) - layout.first, column("s", -1)
     ends = [x + column("w", 0), y + column("h", 0)] if "w" in layout.columns else [column("r", 0), column("b", 0)]
     if name == "boxmot" and np.isin(score, (0, 1)).all():  # written without decimals

@@ -339,7 +339,9 @@ def _read(path: Path, layout: Layout, video: VideoFacts) -> BoxTable:
     frame_of, notes = _frames(path, list(images), video)
     edges = np.array([box.edges for box in boxes], np.float64).reshape(-1, 4)
     if not (np.abs(edges) <= MAX_COORDINATE_PX).all():
-        raise LabelFileError(f"{path}: expected boxes of numbers up to {MAX_COORDINATE_PX:g} pixels, found others.")
+        raise LabelFileError(
+            f"{path}: expected box coordinates of at most {MAX_COORDINATE_PX:g} pixels, found larger or invalid ones."
+        )
     is_box = (edges[:, 2:] > edges[:, :2]).all(axis=1)
     sizes = {size for box in boxes if (size := _size_px(box.size_px)) is not None}
     facts = VideoFacts(size_px=next(iter(sizes)) if len(sizes) == 1 else None)
@@ -405,7 +407,11 @@ def _frames(path: Path, images: Sequence[int | str], video: VideoFacts) -> tuple
         raise LabelFileError(f"{path}: expected each frame once, found two images with the same number in their names.")
     frames = np.array(numbers, np.int64)
     first = 0 if video.first_frame else table_checks.first_frame_number(frames, 0, video.n_frames)
-    notes = [f"{path.name}: frame numbers start at 1, since the last is the number of images."] if first else []
+    notes = (
+        [f"{path.name}: frame numbers start at 1, since the last frame number is the number of images."]
+        if first
+        else []
+    )
     if is_named and not first:
         span = f"{frames.min()} to {frames.max()}"
         notes.append(f"{path.name}: frame numbers are the {source} in the names of the images, {span}.")

@@ -89,14 +89,14 @@ def read_yolo_folder(path: Path, video: VideoFacts) -> BoxTable:
         names = ROAD_CLASSES
         notes.insert(
             0,
-            f"{path.name}: there is no data.yaml or classes.txt with class names, so the numbers are taken to be 0 "
-            f"{ROAD_CLASSES[0]}, 1 {ROAD_CLASSES[1]} to {len(ROAD_CLASSES) - 1} {ROAD_CLASSES[-1]}; the numbers of "
-            "COCO differ from 4 on.",
+            f"{path.name}: there is no data.yaml or classes.txt with class names, so class numbers are read as 0 "
+            f"{ROAD_CLASSES[0]}, 1 {ROAD_CLASSES[1]} to {len(ROAD_CLASSES) - 1} {ROAD_CLASSES[-1]}; COCO's class "
+            "numbers differ from 4 onwards.",
         )
     facts = _facts(path, folder, video)
     if facts.size_px is None:
         raise LabelFileError(
-            f"{path}: expected the size of the images, which YOLO labels do not have, found none; put the images in "
+            f"{path}: expected the image size, which YOLO labels do not contain, found none; put the images in "
             f"{path.name}/images, or give the video."
         )
     frame, rows, lines = [], [], []
@@ -128,7 +128,9 @@ def read_yolo_folder(path: Path, video: VideoFacts) -> BoxTable:
 def _row(where: str, cells: list[str], n_names: int) -> list[float]:
     """Class, centre, size and up to two more columns of one line, NaN if there are none."""
     if len(cells) > _N_COLUMNS:
-        raise LabelFileError(f"{where}: expected a box 'class cx cy w h', found {len(cells)} columns, as of a polygon.")
+        raise LabelFileError(
+            f"{where}: expected a box 'class cx cy w h', found {len(cells)} columns, as in the row of a polygon."
+        )
     values = numbers(cells)
     box = values[1:5]
     is_box = len(cells) >= _N_BOX and all(abs(value) <= _MAX_FRACTION for value in box) and min(box[2:]) >= 0
@@ -156,8 +158,8 @@ def _score_and_identity(table: FloatArray, lines: Sequence[tuple[str, list[str]]
     is_integer = all(_INTEGER.fullmatch(cells[-1]) for _, cells in lines if len(cells) > _N_BOX)
     for row in np.flatnonzero(is_full & (not is_integer))[:1]:
         raise LabelFileError(
-            f"{lines[row][0]}: expected a row 'class cx cy w h score id', found seven columns, "
-            "as of a polygon; other rows do not end with an identity."
+            f"{lines[row][0]}: expected a row 'class cx cy w h score id', found seven columns, as in the row of a "
+            "polygon, while other rows do not end with an identity."
         )
     last = table[np.arange(len(table)), n_columns - 1]
     has_ids = is_integer and bool((is_longer & ((last > 1) | is_full)).any())
@@ -195,8 +197,8 @@ def _frames(path: Path, files: Sequence[Path], video: VideoFacts) -> tuple[dict[
     notes = list(table_checks.first_frame_note(path, int(numbers.min()), len(files)))
     if first:
         notes = [
-            f"{path.name}: the numbers in the names of the files are taken to start at 1, as those of Ultralytics for "
-            f"a video; the first is {numbers.min()}."
+            f"{path.name}: the numbers in the file names are taken to start at 1, as Ultralytics writes them for a "
+            f"video; the first number is {numbers.min()}."
         ]
     return {file: frame - first for frame, file in file_of.items()}, notes
 
@@ -266,5 +268,5 @@ def write_yolo(table: BoxTable, path: Path) -> Written:
     document = {"train": "images", "val": "images", "names": names, "video": section}
     (path / DATA_YAML).write_text(f"{WRITTEN_MARK}\n{yaml_text(document)}", encoding="utf-8", newline="\n")
     n_outside = int((~is_visible & ~table.is_region).sum())
-    notes = (f"Boxes outside the image, which are not written: {n_outside}.",) if n_outside else ()
+    notes = (f"Boxes outside the image are not written: {n_outside}.",) if n_outside else ()
     return Written(len(written), (*notes, *table_checks.omitted_regions_note(table)))

@@ -308,7 +308,9 @@ class _Reader:
         pseudo_names = self.document.pseudo_names
         if self.document.pseudo_scores != "probabilities":
             if pseudo_names is not None:
-                raise LabelFileError(f"{self._path}: pseudo_names: expected `pseudo_scores: probabilities` with it.")
+                raise LabelFileError(
+                    f"{self._path}: pseudo_names: expected also `pseudo_scores: probabilities`, found none."
+                )
             return None
         names = self.names if pseudo_names is None else pseudo_names
         road = map_to_road_classes(names)

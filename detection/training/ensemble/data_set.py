@@ -151,8 +151,8 @@ def usable_classes(data: OwnLabels, members: Sequence[EnsembleMember]) -> BoolAr
     usable = np.array([member.is_known & data.is_named for member in members])
     if not usable.any():
         raise LabelFileError(
-            f"{data.path}: expected names that the detectors know, found {shortened(', '.join(data.names))}; choose "
-            "other detectors."
+            f"{data.path}: expected class names that the detectors have, found {shortened(', '.join(data.names))}; "
+            "choose other detectors."
         )
     is_usable = usable.any(axis=0)
     labelled = [item.truth.class_id[(item.truth.is_complete & is_usable)[item.truth.class_id]] for item in data.train]

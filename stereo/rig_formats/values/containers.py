@@ -49,7 +49,7 @@ _BINARY = (  # begins of the content, what it is, what to do
     ((b"\x89PNG", b"\xff\xd8\xff"), "a picture",
      "give the file of the calibration, or calibrate with such pictures: calibrate --stereo"),
     ((b"SVO",), "a recording of a ZED", "give its factory calibration, SN followed by the serial number, .conf"),
-    ((b"\x89MCAP", b"#ROSBAG"), "a bag", "give it as the recording; its camera_info is read from there"),
+    ((b"\x89MCAP", b"#ROSBAG"), "a bag", "give the bag as the recording; its camera_info is read from there"),
     ((b"\x1f\x8b",), "a gzip archive", "unpack it first"),
     ((b"%PDF",), "a document", "type its numbers into a rig.yaml (track-range rig template FILE)"),
 )  # fmt: skip

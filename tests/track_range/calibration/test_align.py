@@ -190,7 +190,7 @@ def test_large_offset_is_estimated_and_applied_by_a_run(drive, tmp_path, cli):
         assert recording.alignment.at(0.0).offset_px == pytest.approx(alignment.offset_px - 24.0)
     with closing(open_recording(*pair, align="off")) as recording:
         assert recording.rig is None
-        assert "--align auto corrects it" in recording.finding.sentence
+        assert "--align auto corrects this error" in recording.finding.sentence
 
 
 def test_invalid_output_paths(drive, videos, tmp_path, cli):

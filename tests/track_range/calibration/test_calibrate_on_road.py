@@ -207,7 +207,7 @@ def test_real_drive(shared_data, tmp_path, cli):
     box = "0.8,573.9,173.4,612.0,211.3"
     status, printed, complaint = cli("calibrate", "--mono", video, "--known-distance", f"{box}=31.1", "--out", out)
     assert status == 0, complaint
-    assert "by the measurements" in printed
+    assert "from the measurements" in printed
     focal_px, mounting = load_camera(out, size_px=None)[0].fx_px, mounting_of(out)
     assert 0.05 < mounting.focal_sigma < 0.12
     assert abs(math.log(focal_px / 721.5)) < 2.5 * mounting.focal_sigma

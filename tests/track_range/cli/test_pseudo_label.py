@@ -175,7 +175,7 @@ def test_damaged_images_and_dependent_validation(drawn, tmp_path, cli):
     ("names", "options", "status", "message"),
     [
         (("car",), ("--model", "no_such_model"), 1, "no_such_model"),
-        (("stop sign", "bus"), (), 1, "data.yaml: expected names that the detectors know, found car, person"),
+        (("stop sign", "bus"), (), 1, "data.yaml: expected class names that the detectors have, found car, person"),
         (("zebra",), (), 1, "none of its classes"),
         (("person",), (), 1, "at least 20 labels"),
         (("bus", "car"), (), 1, "at least 20 labels"),

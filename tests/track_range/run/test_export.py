@@ -96,7 +96,7 @@ def test_exported_boxes_as_truth_and_detections(
     summary = json.loads((tmp_path / "out/summary.json").read_text())
     assert summary["tracks"]["mota"] > 90
     assert summary["methods"]["fused"]["n"] > 0
-    assert any("distances are those of its labels" in note for note in summary["notes"])
+    assert any("distances are read from the labels" in note for note in summary["notes"])
 
 
 def test_truth_without_distances(exported: dict[str, Path], small_drive: Drive, tmp_path: Path, cli: Cli) -> None:

@@ -113,13 +113,13 @@ def calibrate_on_road(
     video, and VideoError if the video cannot be read.
     """
     if settings.mono is None:
-        raise UsageError("expected --mono VIDEO; without --board one camera is calibrated from its drive.")
+        raise UsageError("expected --mono VIDEO; without --board, one camera is calibrated from a drive.")
     objects = known_metres(settings.known_distance, settings.known_height, settings.known_width)
     lanes = known_lanes(settings.known_lane_width)
     video = video_name(settings.mono)
     check_outputs([file for file in (settings.out, settings.json_file) if file is not None], files_of(video))
     if isinstance(video, LiveAddress) or not files_of(video):
-        raise UsageError(f"--mono {video}: expected a recorded video; record the camera first.")
+        raise UsageError(f"--mono {video}: expected a recorded video, found a live source; record the camera first.")
     with closing(open_video(video)) as reader:
         size_px = reader.shown_size_px
         duration_s = (reader.n_frames or 0) / reader.fps if reader.fps else 0.0
@@ -222,8 +222,8 @@ def _known_objects(
         name = metres.class_name or _detected_class(metres, video, camera, detect)
         if not name:
             raise UsageError(
-                f"{metres.text}: expected the box of an object, the detector finds none there; correct the box, or add "
-                f"the class behind it: '{metres.text},van=...'."
+                f"{metres.text}: expected the box of an object, but the detector finds none there; correct the box, or "
+                f"add the class after the box: '{metres.text},van=...'."
             )
         known.append(
             KnownObject(
@@ -268,12 +268,11 @@ def separability(
     if fit.contradiction != 1.0:
         name, deviation = fit.largest_deviation
         sentences.append(
-            f"Warning: the measurements contradict each other, or what is usual: {name}, is off by "
-            f"{abs(deviation):.0f} sigma. All sigmas are {fit.contradiction:.1f} times as large; check boxes and "
-            "metres."
+            f"Warning: the measurements contradict each other, or usual values: {name} is off by {abs(deviation):.0f} "
+            f"sigma. All sigmas are {fit.contradiction:.1f} times as large; check boxes and metres."
         )
     if fit.gain("focal length") < _DETERMINED:
-        sentences.append(f"{focal}, by the measurements (before: {shape_px:.0f} px, from {origin}).")
+        sentences.append(f"{focal}, from the measurements (before: {shape_px:.0f} px, from {origin}).")
     else:
         sentences.append(f"{focal}: the measurements do not determine it; it comes from {origin}.")
     height = f"Camera height {fit.height_m:.2f} ± {fit.height_sigma_m:.2f} m"
@@ -282,7 +281,10 @@ def separability(
     elif fit.gain("camera height") < _DETERMINED:
         sentences.append(f"{height}, from the contact points of objects of known distance or size.")
     else:
-        sentences.append(f"{height}: a usual height, which the measurements do not determine; give --camera-height-m.")
+        sentences.append(
+            f"{height}: this is a usual height, since the measurements do not determine the height; give "
+            "--camera-height-m."
+        )
     pitch = (
         f"Pitch {math.degrees(fit.pitch_rad):+.1f} ± {math.degrees(fit.pitch_sigma_rad):.1f} degrees (positive = down)"
     )
