@@ -110,7 +110,7 @@ def test_oak(tmp_path):
     path.write_text(json.dumps(content))
     assert load_calibration(path)[0].left.lens == "kannala-brandt"
     path.write_text(json.dumps(oak(cameraData=oak()["cameraData"][1:])))
-    with pytest.raises(RigError, match="those of 2, 0"):
+    with pytest.raises(RigError, match="calibrations of the sockets 2, 0"):
         load_calibration(path)
     content["cameraData"][0][1]["extrinsics"]["toCameraSocket"] = -1
     path.write_text(json.dumps(content))
@@ -407,7 +407,7 @@ SHARED = (  # file, baseline in metres (None = refused), a word of the notes or 
     )),
     ("opencv_more/squares.yml", None, "--unit"),
     ("opencv_more/cm_zedmini.yml", None, "--unit"),
-    ("opencv_more/imagelist.xml", None, "list of images"),
+    ("opencv_more/imagelist.xml", None, "list images"),
     ("opencv_more/maps.xml", None, "remap tables"),
     ("npz/calib.pkl", None, "pickle"),
     ("npz/printed.txt", None, "no M2, D2"),

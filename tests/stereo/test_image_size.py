@@ -68,7 +68,7 @@ def test_resized_or_cropped_is_stated_and_not_in_doubt():
     camera, notes = fitted_to_size(HD, (640, 360), "rig.yaml")
     assert camera.fx_px == 575.0
     assert "575 px" in notes[0]
-    assert "it is 1150 px, and distances are 2.00 times" in notes[0]
+    assert "the focal length is 1150 px, and distances are 2.00 times" in notes[0]
     loaded = calibration_of(HD, ((640, 360),))
     assert (loaded.focal_sigma, loaded.alternatives) == (0.0, ())
 

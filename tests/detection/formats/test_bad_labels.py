@@ -175,7 +175,7 @@ def test_many_boxes_of_cvat(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_yolo_without_image_size(tmp_path: Path) -> None:
     (tmp_path / "a_0.txt").write_text("1 0.5 0.5 0.1 0.1\n")
-    with pytest.raises(LabelFileError, match="size of the images"):
+    with pytest.raises(LabelFileError, match="the image size"):
         read_labels(tmp_path)
 
 
