@@ -1,7 +1,4 @@
-"""OnnxSession: one ONNX network loaded by onnxruntime on a device, with errors as one sentence.
-
-Thread spinning is disabled because it slows down other work on a shared machine.
-"""
+"""OnnxSession: one ONNX network loaded by onnxruntime on a device, with errors as one sentence."""
 
 from __future__ import annotations
 
@@ -12,21 +9,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import onnxruntime as ort
 
+from track_range.detection.models.devices import Device
 from track_range.detection.models.file_kinds import other_kind
+from track_range.detection.models.providers import first_line, open_session
 from track_range.foundation.arrays import FloatArray32
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.input_files import check_regular, quoted, real_path, shortened
-
-Device = Literal["auto", "cpu", "cuda", "tensorrt"]
-
-_CUDA, _TENSORRT = "CUDAExecutionProvider", "TensorrtExecutionProvider"
-_PROVIDERS: Mapping[str, tuple[str, ...]] = {"cpu": (), "cuda": (_CUDA,), "tensorrt": (_TENSORRT, _CUDA)}
 
 _MAX_MODEL_BYTES = 2**31  # protobuf's limit
 _MAX_SIDE = 8192  # of the input in any dimension
@@ -36,7 +29,6 @@ _INPUT_TYPES = ("tensor(float)", "tensor(float16)", "tensor(uint8)")
 TARGET_SIZES = "orig_target_sizes"  # input [batch, 2] of RT-DETR, D-FINE, DEIM: size to which boxes are scaled
 _SIZE_TYPES = {"tensor(int64)": np.int64, "tensor(int32)": np.int32, "tensor(float)": np.float32}
 _LOCATION_KEY = b"location"  # of the path of external data in ONNX files
-_MAX_REASON = 160  # characters of a library's message
 _FAILED = "running the network failed"
 
 
@@ -50,12 +42,6 @@ class Runtime:
 
     device: Device = "auto"  # "auto" = CUDA if available, else the CPU
     n_threads: int = 0  # number of CPU threads; 0 = one per core
-    engine_folder: Path | None = None  # of TensorRT's engines, which take minutes to build; None = no cache
-
-
-def available_providers() -> list[str]:
-    """Names of onnxruntime's execution providers on this machine, such as "CPUExecutionProvider"."""
-    return list(ort.get_available_providers())
 
 
 class OnnxSession:
@@ -73,20 +59,11 @@ class OnnxSession:
         self.notes: tuple[str, ...] = ()
         runtime = runtime or Runtime()
         check_model_file(path)
-        options = ort.SessionOptions()
-        options.intra_op_num_threads = runtime.n_threads
-        options.inter_op_num_threads = 1
-        options.log_severity_level = 4  # failures are reported by our exception
-        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         with _library_errors(path, "not a usable ONNX model"):
-            self._session: Any = ort.InferenceSession(str(path), options, providers=_providers(runtime))
-        device, first = runtime.device, self._session.get_providers()[0]
-        self.device = {_TENSORRT: "tensorrt", _CUDA: "cuda"}.get(first, "cpu")
-        if device in ("cuda", "tensorrt") and self.device != device:
-            self.notes = (
-                f"--device {device} is not available on this machine (not part of this onnxruntime, or its libraries "
-                f"are missing); using {self.device}.",
-            )
+            self._session, self.device, reason = open_session(path, runtime.device, runtime.n_threads)
+        self._n_threads, self._has_run = runtime.n_threads, False
+        if reason and runtime.device != "auto":
+            self.notes = (f"--device {runtime.device} is not available ({reason}); using {self.device}.",)
         self._input, self._size_input = _checked_inputs(path, self._session.get_inputs())
         shape = tuple(d if isinstance(d, int) else None for d in self._input.shape)
         self.has_channels_last = shape[1] not in (1, 3) and shape[3] in (1, 3)
@@ -117,9 +94,24 @@ class OnnxSession:
 
     def run(self, blob: FloatArray32) -> list[FloatArray32]:
         """The outputs as float32, in the file's order, for one input blob (batch, 3, height, width)."""
-        with _library_errors(self.path, _FAILED):
-            outputs = self._session.run(None, self.inputs(blob.astype(self.input_dtype, copy=False)))
+        outputs = self.run_inputs(self.inputs(blob.astype(self.input_dtype, copy=False)))
         return [np.asarray(output, np.float32) for output in outputs]
+
+    def run_inputs(self, inputs: dict[str, npt.NDArray[Any]]) -> list[npt.NDArray[Any]]:
+        """The outputs for all inputs by name; a device that fails in the first run is replaced by the CPU."""
+        with _library_errors(self.path, _FAILED):
+            try:
+                outputs: list[npt.NDArray[Any]] = self._session.run(None, inputs)
+            except Exception as error:  # onnxruntime has dozens of unrelated types
+                if self._has_run or self.device == "cpu":
+                    raise
+                self.notes = (
+                    f"--device {self.device} failed in its first run ({first_line(error, self.path)}); using the CPU.",
+                )
+                self._session, self.device, _ = open_session(self.path, "cpu", self._n_threads)
+                outputs = self._session.run(None, inputs)
+        self._has_run = True
+        return outputs
 
     def bound(self, input_hw: tuple[int, int]) -> BoundNetwork:
         """The network with buffers for one image of this size; one trial run determines the outputs' shapes."""
@@ -185,9 +177,9 @@ def _library_errors(path: Path, problem: str) -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        lines = str(error).replace(str(path), path.name).splitlines() or [type(error).__name__]
-        advice = "; export the network without TensorRT's non-maximum suppression" if "_TRT" in lines[0] else ""
-        raise ModelError(f"{path}: {problem} ({shortened(lines[0], _MAX_REASON)}){advice}.") from error
+        line = first_line(error, path)
+        advice = "; export the network without TensorRT's non-maximum suppression" if "_TRT" in line else ""
+        raise ModelError(f"{path}: {problem} ({line}){advice}.") from error
 
 
 class BoundNetwork:
@@ -199,14 +191,14 @@ class BoundNetwork:
     def __init__(self, session: OnnxSession, input_hw: tuple[int, int]) -> None:
         self._owner = session
         self.blob = np.zeros((1, 3, *input_hw), session.input_dtype)  # input of the next run
-        network, batch = session._session, session.input_shape[0]
+        batch = session.input_shape[0]
         if batch not in (None, 1):
             raise ModelError(
                 f"{session.path}: expected a batch size of 1 or a variable one, got {batch}; export with batch size 1."
             )
         inputs = session.inputs(self.blob)
-        with _library_errors(session.path, _FAILED):
-            outputs = network.run(None, inputs)
+        outputs = session.run_inputs(inputs)
+        network = session._session  # after the first run, which may have replaced it
         self._buffers = [np.empty_like(np.asarray(output), order="C") for output in outputs]
         names = [output.name for output in network.get_outputs()]
         named = dict(zip(names, self._buffers, strict=True))
@@ -241,15 +233,3 @@ class BoundNetwork:
                 outputs = self._owner._session.run(None, self._bound_inputs)
                 return [np.asarray(output, np.float32) for output in outputs]
         return [buffer.astype(np.float32, copy=False) for buffer in self._buffers]
-
-
-def _providers(runtime: Runtime) -> list[tuple[str, dict[str, Any]]]:
-    """Available onnxruntime providers for the device with their options, the preferred one first, the CPU last."""
-    tensorrt: dict[str, Any] = {"trt_fp16_enable": True}
-    if runtime.engine_folder is not None:
-        tensorrt |= {"trt_timing_cache_enable": True, "trt_engine_cache_enable": True}
-        tensorrt["trt_engine_cache_path"] = str(runtime.engine_folder)
-    available = available_providers()
-    preferred = _PROVIDERS["cuda" if runtime.device == "auto" else runtime.device]
-    names = [name for name in preferred if name in available]
-    return [*((name, tensorrt if name == _TENSORRT else {}) for name in names), ("CPUExecutionProvider", {})]

@@ -1,6 +1,8 @@
 """ONNX sessions: bound buffers, devices and their options, errors."""
 
 import os
+import sys
+import types
 
 import numpy as np
 import onnxruntime as ort
@@ -8,6 +10,7 @@ import pytest
 from onnx import TensorProto, helper
 
 from tests.detection.onnx_models import write_dfine, write_model, write_rectangle_finder
+from track_range.detection.models import devices, providers
 from track_range.detection.models.onnx_session import ModelError, OnnxSession, Runtime
 
 
@@ -100,35 +103,132 @@ def test_half_precision_in_and_out(tmp_path):
     assert (rows.dtype, rows.max()) == (np.float32, 0.5)
 
 
-def test_only_available_providers_are_requested(tmp_path, monkeypatch):
-    requested = {}
+class CpuSession(ort.InferenceSession):
+    """A session on the CPU that notes the providers it was asked for; of them, `failing` raise."""
 
-    class Session(ort.InferenceSession):
-        def __init__(self, path, options, providers):
-            requested["providers"] = providers
-            super().__init__(path, options, providers=["CPUExecutionProvider"])
+    requested, failing = [], ()
 
+    def __init__(self, path, options, providers=None, **given):
+        self.requested.append((options, providers))
+        if providers and providers[0][0] in self.failing:
+            raise RuntimeError("CUDA failure 100: no CUDA-capable device is detected\nmore")
+        super().__init__(path, options, providers=["CPUExecutionProvider"], **given)
+
+
+@pytest.fixture
+def cpu_session(monkeypatch, tmp_path):
+    monkeypatch.setattr(ort, "InferenceSession", CpuSession)
+    monkeypatch.setattr(CpuSession, "requested", [])
+    monkeypatch.setenv("TRACK_RANGE_CACHE", str(tmp_path))
+    providers._load_cuda.cache_clear()
+    return CpuSession
+
+
+NAMES = ["TensorrtExecutionProvider", "CUDAExecutionProvider", "CPUExecutionProvider"]
+
+
+@pytest.mark.parametrize(
+    ("available", "device", "expected", "words"),
+    [
+        (NAMES[2:], "auto", NAMES[2:], None),
+        (NAMES, "auto", NAMES[1:], None),
+        (NAMES, "cpu", NAMES[2:], None),
+        (NAMES, "cuda", NAMES[1:], "libraries cannot be loaded; install onnxruntime-gpu"),  # the session is on the CPU
+        (NAMES, "tensorrt", NAMES, "libraries cannot be loaded"),
+        (NAMES[1:], "tensorrt", NAMES[1:], "TensorRT"),
+        (NAMES[2:], "cuda", NAMES[2:], "install onnxruntime-gpu"),
+        (NAMES[2:], "openvino", NAMES[2:], "onnxruntime-ep-openvino"),
+        (NAMES[2:], "coreml", NAMES[2:], "onnxruntime on macOS"),
+        (NAMES[2:], "directml", NAMES[2:], "install onnxruntime-directml in place of onnxruntime"),
+    ],
+)
+def test_only_available_providers_are_requested(tmp_path, monkeypatch, cpu_session, available, device, expected, words):
     path = write_model(tmp_path / "m.onnx", np.zeros((1, 2, 3)))
-    monkeypatch.setattr(ort, "InferenceSession", Session)
-    providers = ["TensorrtExecutionProvider", "CUDAExecutionProvider", "CPUExecutionProvider"]
-    for available, device, expected in (
-        (providers[2:], "auto", providers[2:]),
-        (providers, "auto", providers[1:]),
-        (providers, "cpu", providers[2:]),
-        (providers, "cuda", providers[1:]),
-        (providers, "tensorrt", providers),
-        (providers[1:], "tensorrt", providers[1:]),
-    ):
-        monkeypatch.setattr(ort, "get_available_providers", lambda available=available: available)
-        session = OnnxSession(path, Runtime(device=device, engine_folder=tmp_path))
-        assert [name for name, _ in requested["providers"]] == expected
-        notes = [note for note in session.notes if f"--device {device} is not available" in note]
-        assert len(notes) == (device in ("cuda", "tensorrt"))  # the substitute session always runs on the CPU
-    monkeypatch.setattr(ort, "get_available_providers", lambda: providers)
-    OnnxSession(path, Runtime(device="tensorrt", engine_folder=tmp_path))
-    options = requested["providers"][0][1]
-    assert options["trt_fp16_enable"]
-    assert options["trt_engine_cache_path"] == str(tmp_path)
+    monkeypatch.setattr(ort, "get_available_providers", lambda: available)
+    session = OnnxSession(path, Runtime(device=device))
+    ((options, requested),) = cpu_session.requested
+    assert [name for name, _ in requested] == expected
+    assert (session.device, options.enable_mem_pattern) == ("cpu", True)
+    if words is None:
+        assert session.notes == ()
+    else:
+        (note,) = session.notes
+        assert f"--device {device} is not available (" in note
+        assert words in note
+        assert note.endswith("); using cpu.")
+    if expected == NAMES:
+        assert requested[0][1]["trt_fp16_enable"]
+        assert requested[0][1]["trt_engine_cache_path"] == str(tmp_path / "engines")
+
+
+def test_a_device_that_fails_when_it_is_opened(tmp_path, monkeypatch, cpu_session):
+    path = write_model(tmp_path / "m.onnx", np.zeros((1, 2, 3)))
+    monkeypatch.setattr(ort, "get_available_providers", lambda: NAMES)
+    monkeypatch.setattr(cpu_session, "failing", NAMES[:2])
+    session = OnnxSession(path, Runtime(device="tensorrt"))
+    assert [requested[0][0] for _, requested in cpu_session.requested] == NAMES
+    reason = "CUDA failure 100: no CUDA-capable device is detected"
+    assert session.notes == (f"--device tensorrt is not available ({reason}); using cpu.",)
+    path.write_bytes(b"x")
+    with pytest.raises(ModelError, match=r"m\.onnx: not a usable ONNX model"):
+        OnnxSession(path, Runtime(device="tensorrt"))
+
+
+@pytest.mark.parametrize("is_bound", [True, False])
+def test_a_device_that_fails_in_its_first_run(tmp_path, monkeypatch, is_bound):
+    path = write_rectangle_finder(tmp_path / "m.onnx", side_px=96, grey=0.0)
+
+    class Failing(ort.InferenceSession):
+        n_runs = 0
+
+        def run(self, *given, **options):
+            Failing.n_runs += 1
+            if Failing.n_runs == 1:
+                raise RuntimeError("no kernel image is available")
+            return super().run(*given, **options)
+
+    monkeypatch.setattr(ort, "InferenceSession", Failing)
+    session = OnnxSession(path, Runtime(device="cpu"))
+    session.device = "cuda"
+    blob = np.zeros((1, 3, 96, 96), np.float32)
+    blob[:, :, 20:40, 10:30] = 1
+    (rows,) = session.bound((96, 96)).run(blob) if is_bound else session.run(blob)
+    np.testing.assert_allclose(rows[0, 0, :4], [20, 30, 20, 20], rtol=1e-5)
+    assert session.notes == ("--device cuda failed in its first run (no kernel image is available); using the CPU.",)
+    assert session.device == "cpu"
+    session.device, Failing.n_runs = "cuda", 0
+    with pytest.raises(ModelError, match="no kernel image"):  # only the first run may fail
+        session.run(blob)
+
+
+def test_a_provider_of_a_separate_package(tmp_path, monkeypatch):
+    """The CPU's provider stands for that of the package."""
+    module, registered = types.ModuleType("ep"), []
+    module.get_ep_name, module.get_library_path = lambda: "CPUExecutionProvider", lambda: "libep.so"
+    accelerator = devices.Accelerator("CPUExecutionProvider", "ep-package", "ep")
+    monkeypatch.setattr(providers, "ACCELERATORS", {**devices.ACCELERATORS, "openvino": accelerator})
+    monkeypatch.setattr(ort, "get_available_providers", list)
+    monkeypatch.setattr(ort, "register_execution_provider_library", lambda *given: registered.append(given))
+    path = write_rectangle_finder(tmp_path / "m.onnx", side_px=96, grey=0.0)
+    providers._is_registered.cache_clear()
+    assert providers.why_missing("openvino") == "install ep-package"
+    monkeypatch.setitem(sys.modules, "ep", module)
+    providers._is_registered.cache_clear()
+    for _ in range(2):
+        session = OnnxSession(path, Runtime(device="openvino"))
+        assert (session.device, session.notes) == ("openvino", ())
+    assert registered == [("CPUExecutionProvider", "libep.so")]
+    assert session.run(np.zeros((1, 3, 96, 96), np.float32))[0].shape == (1, 567, 6)
+    monkeypatch.setattr(ort, "get_ep_devices", list)
+    assert providers.why_missing("openvino") == "ep-package supports no hardware of this machine"
+    providers._is_registered.cache_clear()
+
+
+@pytest.mark.parametrize(("n_limited", "given", "n_threads"), [(0, 0, 0), (3, 0, 3), (3, 5, 5)])
+def test_number_of_threads(tmp_path, monkeypatch, cpu_session, n_limited, given, n_threads):
+    monkeypatch.setattr(providers, "n_limited_cores", lambda: n_limited)
+    OnnxSession(write_model(tmp_path / "m.onnx", np.zeros((1, 2, 3))), Runtime(n_threads=given))
+    assert cpu_session.requested[0][0].intra_op_num_threads == n_threads
 
 
 @pytest.mark.parametrize(

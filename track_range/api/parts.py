@@ -14,8 +14,9 @@ from pathlib import Path
 from rich.console import Console
 
 from track_range.detection.detections import Detections
+from track_range.detection.models.devices import Device
 from track_range.detection.models.lookup import DEFAULT_MODEL
-from track_range.detection.models.onnx_session import Device, Runtime
+from track_range.detection.models.onnx_session import Runtime
 from track_range.foundation.arrays import Image
 from track_range.foundation.keywords import KeywordsInErrors
 from track_range.recording import recording
@@ -90,7 +91,7 @@ class Detector:
             min_score: minimum confidence of boxes: 0.25, or "0.1,car=0.3".
             size: longer side of the network input in px, for a network of variable input size.
             threads: CPU threads of the network; 0 = one per core.
-            device: "auto", "cpu", "cuda" or "tensorrt".
+            device: "auto", "cpu", "cuda", "tensorrt", "openvino", "coreml" or "directml".
             classes: road classes to detect; empty = all.
 
         Raises:

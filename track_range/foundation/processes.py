@@ -7,10 +7,12 @@ serves nothing else, and programs that call `tuned_process`.
 from __future__ import annotations
 
 import gc
+import math
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
+from pathlib import Path
 
 _SWITCH_INTERVAL_S = 0.0005  # longest wait for the GIL; Python's default, 5 ms, is a tenth of the time per frame
 _FEW_CORES = 2  # up to which inference and the other stages need all of them
@@ -28,10 +30,40 @@ def is_running(pid: int) -> bool:
 
 
 def n_usable_cores() -> int:
-    """Cores that this process may use, which containers and `taskset` limit; all where there is no affinity."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    """Cores that this process may use: those of its affinity (`taskset`), at most the quota of its container."""
+    n_cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, math.ceil(min(n_cores, _quota_cores())))
+
+
+def n_limited_cores() -> int:
+    """`n_usable_cores` if they are fewer than the machine has, else 0: libraries then choose by the physical cores."""
+    return n_cores if (n_cores := n_usable_cores()) < (os.cpu_count() or 1) else 0
+
+
+def _quota_cores(root: Path = Path("/")) -> float:
+    """Processor time per time that the control groups of this process and those above leave it, in cores.
+
+    Version 1 has cpu.cfs_quota_us and cpu.cfs_period_us, version 2 both in cpu.max (Linux's cgroup-v1 and cgroup-v2
+    documentation). A container sees its own group at the top, under whatever name the host has for it. inf = no limit.
+    """
+    quotas = [math.inf]
+    try:
+        groups = [line.split(":", 2) for line in (root / "proc/self/cgroup").read_text().splitlines()]
+    except OSError:  # not Linux
+        return math.inf
+    for _, controllers, name in groups:
+        if controllers and "cpu" not in controllers.split(","):
+            continue
+        top = root / "sys/fs/cgroup" / controllers
+        group = top / name.lstrip("/")
+        for folder in (group, *group.parents):
+            with suppress(OSError, ValueError):  # no such file, or "max" or -1: no limit
+                names = ("cpu.cfs_quota_us", "cpu.cfs_period_us") if controllers else ("cpu.max",)
+                quota_us, period_us = (int(text) for name in names for text in (folder / name).read_text().split())
+                quotas += [quota_us / period_us] if quota_us > 0 < period_us else []
+            if folder == top:
+                break
+    return min(quotas)
 
 
 @contextmanager

@@ -27,7 +27,7 @@ class PipelineKeywords(TypedDict, total=False):
     size: int | None
     size_px: int | None
     threads: int | None
-    device: Literal["auto", "cpu", "cuda", "tensorrt"] | None
+    device: Literal["auto", "cpu", "cuda", "tensorrt", "openvino", "coreml", "directml"] | None
     tracker: str | ObjectTracker | None
     reid: str | Path | None
     curves: str | Path | None

@@ -107,7 +107,7 @@ def test_bare_options_mean_run(cli):
         (["ev"], ["evaluate"]),
         (["--overlay-d"], ["--overlay-disparity"]),
         (["--stereo", "a", "b", "--tru"], ["--truth"]),
-        (["run", "--device", ""], ["auto", "cpu", "cuda", "tensorrt"]),
+        (["run", "--device", ""], ["auto", "cpu", "cuda", "tensorrt", "openvino", "coreml", "directml"]),
         (["evaluate", "ra"], ["ranges"]),
         (["evaluate", "ranges", "--fil"], ["--filter"]),
     ],

@@ -1,10 +1,12 @@
 """`track-range doctor`: its report, and what it says of a broken installation."""
 
 import json
+import math
 import re
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from track_range.cli.commands import doctor
@@ -19,13 +21,19 @@ def test_report_as_json(cli):
     assert Path(report["folders"]["package"]).name == "track_range"
     assert set(report) == {"ok", "system", "versions", "inference", "codecs", "extras", "folders", "checks"}
     assert re.match(r"\d+\.\d+", report["versions"]["numpy"])
-    assert "CPUExecutionProvider" in report["inference"]["providers"]
+    assert re.fullmatch(r"\d+\.\d ms per image", report["inference"]["device cpu"])
     assert set(report["checks"].values()) == {"ok"}
+
+
+def device_results(**tested):
+    """A test of devices with these results."""
+    return lambda device: doctor._Tested(*tested.get(device, (math.nan, (), f"not available (install {device})")))
 
 
 @pytest.fixture
 def only_quick_checks(monkeypatch):
-    """The checks without the run."""
+    """The checks without the run and without running the detector."""
+    monkeypatch.setattr(doctor, "tested", device_results(cpu=(10.0, (np.ones(4), np.full(9, 2.0)))))
     quick = {name: check for name, check in doctor.CHECKS.items() if name != "short run"}
     monkeypatch.setattr(doctor, "CHECKS", quick)
 
@@ -46,6 +54,24 @@ def test_failed_check(cli, monkeypatch):
     assert "libx264 yes, no-such-encoder no" in text
     assert "no-such-encoder" in complaint
     assert len(complaint.strip().splitlines()) == 1
+
+
+@pytest.mark.usefixtures("only_quick_checks")
+@pytest.mark.parametrize(("other", "is_right"), [(2.08, True), (2.12, False), (math.nan, False)])
+def test_devices(cli, monkeypatch, other, is_right):
+    """The first output is equal, and the second 4 or 6 % from the CPU's."""
+    cpu, cuda = (10.0, (np.ones(4), np.full(9, 2.0))), (1.5, (np.ones(4), np.full(9, other)))
+    monkeypatch.setattr(doctor, "tested", device_results(cpu=cpu, cuda=cuda))
+    status, text, complaint = cli("doctor", "--json")
+    report = json.loads(text)
+    assert status == (0 if is_right else 1)
+    assert report["inference"]["device cpu"] == "10.0 ms per image"
+    assert report["inference"]["device openvino"] == "not available (install openvino)"
+    assert report["inference"]["device cuda"].startswith("1.5 ms per image, outputs ")
+    assert ("outputs on cuda" in complaint) == (not is_right)
+    assert is_right == (report["checks"]["devices"] == "ok")
+    if other == 2.08:
+        assert report["inference"]["device cuda"].endswith("outputs 4 % from the CPU's")
 
 
 @pytest.mark.usefixtures("only_quick_checks")

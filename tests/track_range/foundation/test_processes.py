@@ -1,15 +1,24 @@
 from __future__ import annotations
 
 import gc
+import math
 import os
 import subprocess
 import sys
 from contextlib import suppress
+from pathlib import Path
 
 import cv2
 import pytest
 
-from track_range.foundation.processes import is_running, n_usable_cores, one_opencv_thread, tuned_process
+from track_range.foundation import processes
+from track_range.foundation.processes import (
+    is_running,
+    n_limited_cores,
+    n_usable_cores,
+    one_opencv_thread,
+    tuned_process,
+)
 
 
 def test_processes() -> None:
@@ -19,6 +28,49 @@ def test_processes() -> None:
     assert not is_running(ended.pid)
 
 
+@pytest.fixture
+def without_quota(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The control group of these tests does not matter."""
+    monkeypatch.setattr(processes, "_quota_cores", lambda: math.inf)
+
+
+@pytest.mark.parametrize(
+    ("groups", "files", "quota"),
+    [
+        ("0::/\n", {"cpu.max": "250000 100000"}, 2.5),
+        ("0::/\n", {"cpu.max": "max 100000"}, math.inf),
+        ("0::/a/b\n", {"a/b/cpu.max": "max 100000", "a/cpu.max": "50000 100000"}, 0.5),
+        ("0::/../host\n", {"cpu.max": "300000 100000"}, 3),
+        ("5:cpu,cpuacct:/docker/x\n3:cpuset:/\n", {"cpu,cpuacct/cpu.cfs_quota_us": "150000"}, 1.5),
+        ("5:cpu:/\n0::/\n", {"cpu/cpu.cfs_quota_us": "-1"}, math.inf),
+        ("5:memory:/\n", {"memory/cpu.cfs_quota_us": "100000"}, math.inf),
+        ("0::/\n", {"cpu.max": "damaged"}, math.inf),
+        ("0::/\n", {}, math.inf),
+    ],
+)
+def test_quota_of_a_container(tmp_path: Path, groups: str, files: dict[str, str], quota: float) -> None:
+    """Version 1 has a period of 100 ms in each group."""
+    for name, text in {
+        "proc/self/cgroup": groups,
+        **{f"sys/fs/cgroup/{name}": text for name, text in files.items()},
+    }.items():
+        file = tmp_path / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text)
+        if file.name == "cpu.cfs_quota_us":
+            file.with_name("cpu.cfs_period_us").write_text("100000\n")
+    assert processes._quota_cores(tmp_path) == quota
+
+
+def test_cores_of_a_quota(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "cpu_count", lambda: 64)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(64)), raising=False)
+    for quota, n_usable, n_limited in ((0.5, 1, 1), (2.5, 3, 3), (63.9, 64, 0), (100.0, 64, 0), (math.inf, 64, 0)):
+        monkeypatch.setattr(processes, "_quota_cores", lambda quota=quota: quota)
+        assert (n_usable_cores(), n_limited_cores()) == (n_usable, n_limited)
+
+
+@pytest.mark.usefixtures("without_quota")
 def test_usable_cores(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "cpu_count", lambda: 64)
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {3, 8}, raising=False)
@@ -48,6 +100,7 @@ def test_opencv_threads_are_restored_after_an_error() -> None:
         cv2.setNumThreads(before)
 
 
+@pytest.mark.usefixtures("without_quota")
 @pytest.mark.parametrize(("n_cores", "has_dense_stereo", "n_threads"), [(2, False, 1), (2, True, 3), (4, False, 3)])
 def test_threads_of_opencv(
     n_cores: int, has_dense_stereo: bool, n_threads: int, monkeypatch: pytest.MonkeyPatch

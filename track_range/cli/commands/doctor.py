@@ -3,22 +3,30 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import platform
 import re
 import shutil
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Mapping
+from functools import cache, partial
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple, get_args
+
+import numpy as np
 
 from track_range.cli.console import console, print_line
 from track_range.cli.parameters import command
+from track_range.detection.models.devices import Device
+from track_range.foundation.arrays import FloatArray32
 from track_range.foundation.errors import UserError
 from track_range.foundation.options import Options, option
+from track_range.foundation.processes import n_usable_cores
 
 PACKAGES = (
     *("track-range", "numpy", "opencv-python-headless", "onnxruntime", "onnx", "av", "scipy", "pyarrow", "pydantic"),
@@ -28,6 +36,7 @@ ENCODERS = ("libx264",)  # those that track-range needs
 DECODERS = ("h264", "hevc", "av1", "vp9", "mpeg4", "mjpeg")  # of common videos; a run needs only that of its input
 MIN_FREE_BYTES = 500_000_000  # results of an hour of 1242x375 px take about this much
 MIN_TRACKS, MAX_MEDIAN_ERROR_PCT = 2, 5.0  # the short run finds 4 tracks with a median error of 0.3 %
+N_TIMED, MAX_DIFFERENCE_PCT = 7, 5.0  # of the test of devices
 OK, _NOT_INSTALLED = "ok", "not installed"
 _EXTRA = re.compile(r"^([\w.-]+).*extra\s*==\s*['\"]([\w-]+)['\"]")
 
@@ -60,13 +69,13 @@ def installation() -> dict[str, dict[str, str]]:
     return {
         "system": {
             "platform": platform.platform(),
-            "processor": f"{platform.machine()}, {os.cpu_count()} logical cores",
+            "processor": f"{platform.machine()}, {os.cpu_count()} logical cores, {n_usable_cores()} of them usable",
             "python": f"{platform.python_version()} ({sys.executable})",
         },
         "versions": {name: _version(name) for name in PACKAGES}
         | {"FFmpeg": _text(lambda: str(import_module("av").ffmpeg_version_info))},
         "inference": {
-            "providers": _text(_providers),  # the import sets ORT_DISABLE_TELEMETRY
+            **{f"device {name}": _text(partial(_device_text, name)) for name in get_args(Device) if name != "auto"},
             "telemetry": "disabled" if os.environ.get("ORT_DISABLE_TELEMETRY") == "1" else "enabled",
             "default detector": _text(_default_detector),
         },
@@ -102,10 +111,50 @@ def _version(name: str) -> str:
         return _NOT_INSTALLED
 
 
-def _providers() -> str:
-    from track_range.detection.models.onnx_session import available_providers
+class _Tested(NamedTuple):
+    """Test of a device with the packaged detector."""
 
-    return ", ".join(available_providers())
+    time_ms: float = math.nan  # median of the inference of an image of 1280x720
+    outputs: tuple[FloatArray32, ...] = ()
+    missing: str = ""  # why the device cannot be used; "" = it can
+
+
+@cache
+def tested(device: Device) -> _Tested:
+    """The packaged detector's time and outputs on a device for an image of coloured noise."""
+    import cv2
+
+    from track_range.detection.models.lookup import DEFAULT_MODEL, find_model
+    from track_range.detection.models.onnx_session import Runtime
+    from track_range.detection.models.providers import why_missing
+    from track_range.detection.yolo.detector import YoloDetector
+
+    if device != "cpu" and (missing := why_missing(device)):
+        return _Tested(missing=f"not available ({missing})")
+    detector = YoloDetector(find_model(DEFAULT_MODEL).path, runtime=Runtime(device=device))
+    if detector.session.device != device:
+        return _Tested(missing=detector.notes[0])
+    coarse = np.random.default_rng(0).integers(0, 256, (18, 32, 3), np.uint8)
+    detector.fill(cv2.resize(coarse, (1280, 720), interpolation=cv2.INTER_CUBIC).astype(np.uint8))
+    times_ms = []
+    for _ in range(N_TIMED):
+        began_s = time.perf_counter()
+        outputs = detector.infer()
+        times_ms.append(1000 * (time.perf_counter() - began_s))
+    return _Tested(float(np.median(times_ms)), tuple(output.copy() for output in outputs))
+
+
+def _difference_pct(device: Device) -> float:
+    """||outputs - the CPU's|| / ||the CPU's|| of a device in per cent, the largest of all outputs."""
+    pairs = zip(tested(device).outputs, tested("cpu").outputs, strict=True)
+    return float(np.max([100 * np.linalg.norm(own - cpu) / np.linalg.norm(cpu) for own, cpu in pairs]))
+
+
+def _device_text(device: Device) -> str:
+    if missing := tested(device).missing:
+        return missing
+    difference = "" if device == "cpu" else f", outputs {_difference_pct(device):.2g} % from the CPU's"
+    return f"{tested(device).time_ms:.1f} ms per image{difference}"
 
 
 def _default_detector() -> str:
@@ -189,10 +238,18 @@ def _check_run() -> str:
     return ""
 
 
+def _check_devices() -> str:
+    """Whether the devices of this machine return the CPU's outputs."""
+    devices = [name for name in get_args(Device) if name not in ("auto", "cpu") and not tested(name).missing]
+    wrong = [name for name in devices if not _difference_pct(name) <= MAX_DIFFERENCE_PCT]
+    return f"outputs on {', '.join(wrong)} are not those of the CPU; use --device cpu" if wrong else ""
+
+
 CHECKS: Mapping[str, Callable[[], str]] = {  # what is wrong and what to do; "" = no problem
     "packages": _check_packages,
     "H.264 encoder": _check_codecs,
     "disk space": _check_disk,
+    "devices": _check_devices,
     "short run": _check_run,
 }
 

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import model_validator
 
 from track_range.detection.formats.titles import READ_TITLES
+from track_range.detection.models.devices import Device
 from track_range.foundation.errors import UsageError
 from track_range.foundation.options import Options, option
 
 _shared_option = partial(option, is_shared=True)
 
 # Fields that several commands have.
-Device = Literal["auto", "cpu", "cuda", "tensorrt"]
 
 LETTERBOX_HELP = (
     "Placement and padding grey of images in the network input: centred-114, centred-128, top-left-114, stretch"
@@ -60,9 +60,15 @@ SizeField = Annotated[
     ),
 ]
 ThreadsField = Annotated[
-    int, option("Number of CPU threads for the network; 0 = one per core.", metavar="N", ge=0, le=256)
+    int,
+    option(
+        "Number of CPU threads for the network; 0 = one per core that the process may use.", metavar="N", ge=0, le=256
+    ),
 ]
-DeviceField = Annotated[Device, option("Device that runs the network; auto = a GPU if there is one, else the CPU.")]
+DeviceField = Annotated[
+    Device,
+    option("Device that runs the networks; auto = an NVIDIA GPU if onnxruntime can use one, else the CPU."),
+]
 TrackerField = Annotated[
     str,
     option(

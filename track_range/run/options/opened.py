@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Self
 
 from track_range.detection.classes import road_class_id, road_class_ids
-from track_range.detection.models.lookup import models_folder
+from track_range.detection.models.devices import Device
 from track_range.detection.models.metadata import ModelOptions
-from track_range.detection.models.onnx_session import Device, Runtime
+from track_range.detection.models.onnx_session import Runtime
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
 from track_range.foundation.errors import ConfigError, UsageError
 from track_range.foundation.files.input_files import quoted, read_text, shortened
@@ -57,18 +56,8 @@ def open_detector(path: Path, options: DetectorOptions, *, lowest_score: float |
     model_options = ModelOptions(
         names=class_names(options.names), anchors=options.anchors, letterbox=options.letterbox, layout=options.layout
     )
-    runtime = Runtime(device=options.device, n_threads=options.threads, engine_folder=_engine_folder(options.device))
+    runtime = Runtime(device=options.device, n_threads=options.threads)
     return YoloDetector(path, settings, options=model_options, runtime=runtime)
-
-
-def _engine_folder(device: Device) -> Path | None:
-    """Folder of the engines built by TensorRT, in the cache folder; None for other devices, or if it cannot be made."""
-    if device != "tensorrt":
-        return None
-    folder = models_folder().with_name("engines")
-    with suppress(OSError):  # without the folder, TensorRT rebuilds its engine in each run
-        folder.mkdir(parents=True, exist_ok=True)
-    return folder if folder.is_dir() else None
 
 
 def class_names(option: str | None) -> tuple[str, ...] | None:
