@@ -31,8 +31,8 @@ def open_session(path: Path, device: Device, n_threads: int) -> OpenedSession:
 
     `n_threads` is the number of CPU threads; 0 = one per core. Errors of the CPU's session are raised as they are.
     """
-    wanted = "cuda" if device == "auto" else device
-    chain = {"cpu": (), "tensorrt": ("tensorrt", "cuda")}.get(wanted, (wanted,))
+    requested = "cuda" if device == "auto" else device
+    chain = {"cpu": (), "tensorrt": ("tensorrt", "cuda")}.get(requested, (requested,))
     missing = {name: why_missing(name) for name in chain}
     reasons = [reason for reason in missing.values() if reason]
     usable = [*(name for name in chain if not missing[name]), "cpu"]
@@ -47,9 +47,9 @@ def open_session(path: Path, device: Device, n_threads: int) -> OpenedSession:
             usable.pop(0)
     provider = session.get_providers()[0]
     used = next((name for name, accelerator in ACCELERATORS.items() if accelerator.provider == provider), "cpu")
-    if used != wanted:  # onnxruntime leaves out a provider whose libraries it cannot load
-        reasons.append(f"its libraries cannot be loaded; install {ACCELERATORS[wanted].needs}")
-    return OpenedSession(session, used, "" if used == wanted else reasons[0])
+    if used != requested:  # onnxruntime leaves out a provider whose libraries it cannot load
+        reasons.append(f"its libraries cannot be loaded; install {ACCELERATORS[requested].needs}")
+    return OpenedSession(session, used, "" if used == requested else reasons[0])
 
 
 def why_missing(device: str) -> str:
@@ -57,8 +57,10 @@ def why_missing(device: str) -> str:
     accelerator = ACCELERATORS[device]
     if accelerator.provider in ort.get_available_providers() or _plugin_devices(device):
         return ""
-    found = bool(accelerator.plugin) and _is_registered(accelerator.plugin)
-    return f"{accelerator.needs} supports no hardware of this machine" if found else f"install {accelerator.needs}"
+    is_registered = bool(accelerator.plugin) and _is_registered(accelerator.plugin)
+    return (
+        f"{accelerator.needs} supports no hardware of this machine" if is_registered else f"install {accelerator.needs}"
+    )
 
 
 def first_line(error: Exception, path: Path) -> str:
@@ -113,8 +115,8 @@ def _plugin_devices(device: str) -> list[Any]:
     accelerator = ACCELERATORS.get(device)
     if accelerator is None or not accelerator.plugin or not _is_registered(accelerator.plugin):
         return []
-    found = [found for found in ort.get_ep_devices() if found.ep_name == accelerator.provider]
-    return sorted(found, key=lambda found: _KINDS.index(found.device.type.name))
+    usable = [entry for entry in ort.get_ep_devices() if entry.ep_name == accelerator.provider]
+    return sorted(usable, key=lambda entry: _KINDS.index(entry.device.type.name))
 
 
 @cache
