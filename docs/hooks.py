@@ -1,18 +1,35 @@
 """Hooks of the documentation's build.
 
-Equations in TeX become MathML, which needs neither a script nor a font. A page that would load anything from the
-network is an error.
+- Equations in TeX become MathML, which needs neither a script nor a font.
+- One page per command is made from the settings models of the commands (`reference/cli/`).
+- Notebooks (`*.ipynb`) become pages with their stored outputs.
+- Every page is written as Markdown too, and `llms.txt` lists these files by relative links.
+- A page that would load anything from the network is an error.
 """
 
 from __future__ import annotations
 
 import html
+import inspect
+import json
+import posixpath
 import re
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import typer
 from latex2mathml.converter import convert
 from mkdocs.exceptions import PluginError
+from mkdocs.structure.files import File
+
+import track_range as tr
+from track_range.cli import lazy
+from track_range.cli.app import PROGRAM, app
+
+CLI = "reference/cli"
+"""Folder of the pages of commands."""
 
 _EQUATION = re.compile(
     r'<(?P<tag>span|div) class="arithmatex">\s*\\(?P<open>[(\[])(?P<tex>.*?)\\[)\]]\s*</(?P=tag)>', re.DOTALL
@@ -21,6 +38,124 @@ _EQUATION = re.compile(
 
 _REMOTE = re.compile(r"<(?:script|link|img|iframe|source|video)\b[^>]*(?:src|href)=\"?(?:https?:)?//[^\"> ]+")
 """A tag that loads something from another address."""
+
+_markdown: dict[str, tuple[str, str]] = {}
+"""Title and text of each page by its path, for the copies in Markdown."""
+
+
+# -- pages of commands ------------------------------------------------------------------------------------------------
+
+
+def on_config(config: Any) -> None:
+    """Add the pages of commands to the navigation."""
+    listed = [{" ".join(words): _cli_path(words)} for words, _ in commands()]
+    (reference,) = (entries for group in config["nav"] for name, entries in group.items() if name == "Reference")
+    reference.append({"Command line": [f"{CLI}/index.md", *listed]})
+
+
+def on_files(files: Any, config: Any) -> None:
+    """Add the pages of commands and of notebooks to the files."""
+    pages = {_cli_path(words): command_page(words, command) for words, command in commands()}
+    pages[f"{CLI}/index.md"] = _index_page()
+    for path, text in pages.items():
+        files.append(File.generated(config, path, content=text))
+    for file in [file for file in files if file.src_uri.endswith(".ipynb")]:
+        text = notebook_page(json.loads(Path(file.abs_src_path).read_text(encoding="utf-8")))
+        files.remove(file)
+        files.append(File.generated(config, file.src_uri.removesuffix(".ipynb") + ".md", content=text))
+
+
+def commands() -> Iterator[tuple[list[str], Any]]:
+    """Words and command of everything that can be invoked, in the order of the help pages."""
+
+    def below(group: Any, words: list[str]) -> Iterator[tuple[list[str], Any]]:
+        for name in group.commands:
+            command = group.load(name) if hasattr(group, "load") else group.commands[name]
+            if hasattr(command, "commands"):
+                yield from below(command, [*words, name])
+            elif not command.hidden:
+                yield [*words, name], command
+
+    yield from below(typer.main.get_command(app), [])
+
+
+def command_page(words: list[str], command: Any) -> str:
+    """Page of a command: what it does, its arguments and options by panel, and its examples."""
+    visible = [parameter for parameter in command.params if not parameter.hidden and parameter.opts != ["--help"]]
+    arguments = [parameter for parameter in visible if parameter.param_type_name == "argument"]
+    usage = " ".join([PROGRAM, *words, "[OPTIONS]", *map(lazy._argument_name, arguments)])
+    parts = [f"# {' '.join(words)}", command.help or "", getattr(command, "description", ""), f"```text\n{usage}\n```"]
+    tables = {"Arguments": [(lazy._argument_name(parameter), parameter.help) for parameter in arguments]}
+    for parameter in visible:
+        if parameter not in arguments:
+            panel = parameter.rich_help_panel or "Options"
+            tables.setdefault(panel, []).append((lazy._option_name(parameter), parameter.help))
+    for heading, rows in tables.items():
+        if rows:
+            lines = [f"| `{name}` | {_cell(text or '')} |" for name, text in rows]
+            parts.append("\n".join([f"## {heading}\n", "| name | meaning |", "|---|---|", *lines]))
+    if command.examples:
+        parts.append("## Examples\n\n```sh\n" + "\n".join(command.examples) + "\n```")
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _index_page() -> str:
+    rows = [f"| [`{' '.join(words)}`]({'-'.join(words)}.md) | {_cell(command.help)} |" for words, command in commands()]
+    return (
+        f"# Command line\n\nEach page is made from the options that the program has; `{PROGRAM} COMMAND --help` prints "
+        "the same. The word `run` may be omitted. Exit status: 0 = success, 1 = an unusable input or output, or a run "
+        "that the user stopped, 2 = wrong usage, 3 = some clips of a fleet failed.\n\n"
+        "| command | what it does |\n|---|---|\n" + "\n".join(rows) + "\n"
+    )
+
+
+def _cli_path(words: list[str]) -> str:
+    return f"{CLI}/{'-'.join(words)}.md"
+
+
+def _cell(text: str) -> str:
+    """Text of a cell of a table; characters that Markdown would interpret are escaped."""
+    return re.sub(r"([*_<>{}|])", r"\\\1", text)
+
+
+# -- notebooks --------------------------------------------------------------------------------------------------------
+
+
+def notebook_page(notebook: dict[str, Any]) -> str:
+    """Page of a notebook: its text, its code, and the stored outputs, of which pictures are part of the page."""
+    parts = []
+    for cell in notebook["cells"]:
+        source = "".join(cell["source"])
+        parts.append(source if cell["cell_type"] == "markdown" else f"```python\n{source}\n```")
+        for output in cell.get("outputs", []):
+            data = output.get("data", {"text/plain": output.get("text", "")})
+            if "image/png" in data:
+                parts.append(f"![Output of the cell above](data:image/png;base64,{''.join(data['image/png']).strip()})")
+            elif text := "".join(data["text/plain"]).rstrip():
+                parts.append(f"```text\n{text}\n```")
+    return "\n\n".join(parts) + "\n"
+
+
+# -- pages ------------------------------------------------------------------------------------------------------------
+
+
+def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> None:
+    """Keep the text of the page for its copy in Markdown."""
+    _markdown[page.file.src_uri] = (
+        page.title,
+        re.sub(r"^::: (\S+)\n?(?:    .*\n?)*", _api_text, markdown, flags=re.MULTILINE),
+    )
+
+
+def _api_text(reference: re.Match[str]) -> str:
+    """Signature and docstring of a public name, in the place of the directive that shows it."""
+    module, _, name = reference[1].rpartition(".")
+    value = getattr(tr, name) if module == "track_range" else getattr(sys.modules[module], name)
+    try:
+        signature = str(inspect.signature(value)) if callable(value) else f" = {value!r}"
+    except ValueError:
+        signature = ""
+    return f"## {name}\n\n```python\n{name}{signature}\n```\n\n{inspect.getdoc(value) if callable(value) else ''}\n\n"
 
 
 def on_page_content(page_html: str, **_: Any) -> str:
@@ -36,11 +171,34 @@ def _mathml(equation: re.Match[str]) -> str:
 
 
 def on_post_build(*, config: Any, **_: Any) -> None:
-    """Check that no page loads anything from the network.
+    """Write the copies in Markdown and llms.txt, and check that no page loads anything from the network.
 
     Raises:
         PluginError: a page does.
     """
-    for page in sorted(Path(config["site_dir"]).rglob("*.html")):
+    site = Path(config["site_dir"])
+    for path, (_, text) in _markdown.items():
+        (site / path).write_text(text, encoding="utf-8")
+    (site / "llms.txt").write_text(_llms_text(config), encoding="utf-8")
+    for page in sorted(site.rglob("*.html")):
         if (remote := _REMOTE.search(page.read_text(encoding="utf-8"))) is not None:
             raise PluginError(f"{page}: expected no address on the network, found {remote.group()}")
+
+
+def _llms_text(config: Any) -> str:
+    """Contents of the documentation for language models (llmstxt.org): each page as a relative link to its Markdown."""
+    lines = [f"# {config['site_name']}", "", f"> {config['site_description']}"]
+
+    def add(entries: list[Any]) -> None:
+        for entry in entries:
+            for below in entry.values() if isinstance(entry, dict) else [entry]:
+                if isinstance(below, list):
+                    add(below)
+                else:
+                    lines.append(f"- [{_markdown[below][0]}]({posixpath.normpath(below)})")
+
+    for group in config["nav"]:
+        for name, entries in group.items():
+            lines.extend(("", f"## {name}", ""))
+            add(entries)
+    return "\n".join(lines) + "\n"

@@ -23,6 +23,7 @@ import pyarrow.csv
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
+from PIL import Image
 from playwright.sync_api import sync_playwright
 
 import track_range as tr
@@ -31,7 +32,7 @@ from track_range.evaluation.sequences.labelled_images import LabelledSource
 from track_range.ranging.registry import methods
 
 IMAGES = Path(__file__).with_name("images")
-README_PICTURE = Path(__file__).resolve().parents[1] / ".github" / "demo.jpg"
+README_PICTURE = Path(__file__).resolve().parents[1] / ".github" / "demo.webp"
 
 FOCAL_PX, BASELINE_M, CAMERA_HEIGHT_M = 721.5, 0.54, 1.65
 """KITTI's left colour camera, as in the simulation."""
@@ -244,10 +245,19 @@ def distance() -> None:
 # -- frames of the simulation -----------------------------------------------------------------------------------------
 
 
+def moving() -> None:
+    """The overlay of a calm highway as a moving picture for the README, of less than 1.5 MB."""
+    frames, capture = [], cv2.VideoCapture(str(_highway() / "overlay.mp4"))
+    while (read := capture.read())[0]:
+        small = cv2.resize(read[1], None, fx=0.7, fy=0.7, interpolation=cv2.INTER_AREA)
+        frames.append(Image.fromarray(small[:, :, ::-1]))
+    first, *rest = frames
+    first.save(README_PICTURE, save_all=True, append_images=rest, duration=100, loop=0, quality=45, method=6)
+
+
 def overlay() -> None:
-    """A frame of the demo's overlay, for the README too, and the road from above that is part of it."""
+    """A frame of the demo's overlay, and the road from above that is part of it."""
     image = _frame(_demo() / "overlay.mp4", DEMO_FRAME)
-    _save_jpeg(image, README_PICTURE, quality=88)
     _save_jpeg(image, IMAGES / "overlay.jpg", quality=88)
     height_px = int(0.42 * image.shape[0])
     inset = image[-height_px - 1 :, : int(0.8 * height_px) + 2]
@@ -320,7 +330,7 @@ def failures() -> None:
 
 
 def report() -> None:
-    """The first screen of the demo's report, as Chromium shows it."""
+    """The first screen of a report, as Chromium shows it."""
     chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if chromium is None:
         print("report: Chromium is not installed; the picture stays as it is.", file=sys.stderr)  # noqa: T201
@@ -329,7 +339,7 @@ def report() -> None:
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
         page = browser.new_page(viewport={"width": 1200, "height": 860})
-        page.goto((_demo() / "report.html").as_uri())
+        page.goto((_highway() / "report.html").as_uri())
         page.evaluate("document.querySelector('video').currentTime = 3")
         page.wait_for_timeout(3000)  # ms; the video seeks
         page.screenshot(path=str(shot))
@@ -352,6 +362,16 @@ def _demo() -> Path:
     out = _temporary() / "demo"
     _track_range("demo", "--out", str(out))
     return out
+
+
+@cache
+def _highway() -> Path:
+    """The folder of the results of a stereo drive on a highway with few road users."""
+    drive = _temporary() / "highway-2"
+    _track_range("simulate", "--out", str(drive), "--scenario", "highway", "--seed", "2", "--seconds", "6")
+    pair = (str(drive / "left.mp4"), str(drive / "right.mp4"))
+    _track_range("--stereo", *pair, "--no-sgbm", "--out", str(drive / "results"))
+    return drive / "results"
 
 
 def _track_range(*arguments: str) -> None:
@@ -442,6 +462,7 @@ PICTURES: dict[str, Callable[[], None]] = {
         distance,
         fused,
         filtered,
+        moving,
         overlay,
         disparity,
         scenarios,

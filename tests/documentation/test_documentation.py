@@ -136,8 +136,15 @@ def test_summary_keys_are_documented():
 
 
 def test_public_names_are_documented():
-    shown = set(re.findall(r"^::: track_range\.(\w+)$", PAGES["docs/reference/api.md"], re.MULTILINE))
-    assert shown == set(tr.__all__) - {"__version__"}
+    pages = {name: text for name, text in PAGES.items() if name.startswith("docs/reference/api/")}
+    shown = [name for text in pages.values() for name in re.findall(r"^::: track_range\.(\S+)$", text, re.MULTILINE)]
+    public = [name for name in shown if "." not in name]
+    assert sorted(public) == sorted(set(tr.__all__) - {"__version__"})
+    listed = re.findall(
+        r"`(\w+)`", pages["docs/reference/api/index.md"].partition("|---|---|---|")[2].partition("\n\n")[0]
+    )
+    assert sorted(listed) == sorted(name.rpartition(".")[2] for name in shown)
+    assert [name for name, text in pages.items() if not python_blocks(text)] == ["docs/reference/api/index.md"]
 
 
 def test_methods_are_documented():
@@ -155,7 +162,8 @@ def paths(entries):
     """Paths of the pages of an entry of the navigation, which is a path, or a list of entries."""
     if isinstance(entries, str):
         return [entries]
-    return [path for entry in entries for below in entry.values() for path in paths(below)]
+    below = [part for entry in entries for part in (entry.values() if isinstance(entry, dict) else [entry])]
+    return [path for part in below for path in paths(part)]
 
 
 def test_navigation_has_every_page():

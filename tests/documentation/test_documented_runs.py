@@ -80,7 +80,7 @@ def test_readme_example_runs(capsys):
 
 @pytest.mark.usefixtures("recording")
 def test_parts_example_runs(capsys):
-    run_code(python_blocks(PAGES["docs/reference/api.md"])[1], "api.md")
+    run_code(python_blocks(PAGES["docs/reference/api/parts.md"])[0], "parts.md")
     assert len(capsys.readouterr().out.splitlines()) > 5
 
 

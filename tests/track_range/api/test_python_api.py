@@ -230,7 +230,7 @@ def test_documented_parts_give_the_distances_of_a_run(shared_data, tmp_path, mon
         (tmp_path / video.name).symlink_to(video)
     save_rig(tr.load_rig(pair[0].parent / "calib.txt", size_px=(1242, 375)), tmp_path / "rig.yaml")
     monkeypatch.chdir(tmp_path)
-    text = (PROJECT / "docs/reference/api.md").read_text(encoding="utf-8")
+    text = (PROJECT / "docs/reference/api/parts.md").read_text(encoding="utf-8")
     code = next(block for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL) if "tr.StereoRanger(" in block)
     n_frames = 6
     code = code.replace("in recording.frames:", f"in __import__('itertools').islice(recording.frames, {n_frames}):")

@@ -1,0 +1,71 @@
+"""What docs/hooks.py makes: pages of commands, notebooks as pages, and texts of the API."""
+
+import importlib.util
+import sys
+from types import ModuleType
+
+import pytest
+
+from tests.documentation.documented_commands import PROJECT
+
+
+@pytest.fixture(scope="module")
+def hooks():
+    """docs/hooks.py; the packages of the documentation's build, which `[dev]` lacks, have stand-ins."""
+    names = (
+        "latex2mathml",
+        "latex2mathml.converter",
+        "mkdocs",
+        "mkdocs.exceptions",
+        "mkdocs.structure",
+        "mkdocs.structure.files",
+    )
+    known = {name: sys.modules.get(name) for name in names}
+    for name in names:
+        sys.modules[name] = ModuleType(name)
+    sys.modules["latex2mathml.converter"].convert = str
+    sys.modules["mkdocs.exceptions"].PluginError = ValueError
+    sys.modules["mkdocs.structure.files"].File = object
+    spec = importlib.util.spec_from_file_location("hooks", PROJECT / "docs/hooks.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    yield module
+    for name, value in known.items():
+        if value is None:
+            del sys.modules[name]
+        else:
+            sys.modules[name] = value
+
+
+def test_every_command_has_a_page(hooks):
+    pages = {" ".join(words): hooks.command_page(words, command) for words, command in hooks.commands()}
+    assert {"run", "fleet run", "rig check", "evaluate tracks", "models list", "train"} <= set(pages)
+    assert all(
+        text.startswith(f"# {name}\n\n") and f"track-range {name} [OPTIONS]" in text for name, text in pages.items()
+    )
+    assert "## Ranging\n" in pages["run"]
+    assert "| `--focal-px PX` | Focal length in pixels" in pages["run"]
+    assert "--stereo LEFT" not in pages["fleet run"]  # refused there, so hidden
+    assert "## Arguments\n\n| name | meaning |\n|---|---|\n| `RECORDINGS` |" in pages["fleet run"]
+
+
+def test_notebooks_are_pages(hooks):
+    cells = [
+        {"cell_type": "markdown", "source": ["# A title"]},
+        {
+            "cell_type": "code",
+            "source": ["1 + 1"],
+            "outputs": [{"data": {"text/plain": ["2"]}}, {"data": {"image/png": "AAAA\n", "text/plain": "<Figure>"}}],
+        },
+        {"cell_type": "code", "source": ["print(3)"], "outputs": [{"text": ["3\n"]}]},
+    ]
+    page = hooks.notebook_page({"cells": cells})
+    assert page.startswith("# A title\n\n```python\n1 + 1\n```\n\n```text\n2\n```\n\n![Output")
+    assert "data:image/png;base64,AAAA)" in page
+    assert page.endswith("```python\nprint(3)\n```\n\n```text\n3\n```\n")
+
+
+def test_text_of_a_public_name(hooks):
+    text = hooks.re.sub(r"::: (\S+)", hooks._api_text, "::: track_range.class_id")
+    assert text.startswith("## class_id\n\n```python\nclass_id(")
+    assert "ROAD_CLASSES" in text
