@@ -42,7 +42,7 @@ from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.foundation.track_state import TrackState
 from track_range.ranging.filtering.cut_boxes import CutBoxes, SideState
 from track_range.ranging.filtering.key_distance import Growth, KeyDistance
-from track_range.ranging.filtering.motion_models import STATIC_RATE_SIGMA_MPS, MotionModels, covariance_of, mean_of
+from track_range.ranging.filtering.motion_models import STATIC_RATE_SIGMA_MPS, MotionModels, mean_of
 from track_range.ranging.ranges import Ranges
 
 _CAR = ROAD_CLASSES.index("car")
@@ -231,12 +231,12 @@ class DistanceFilters:
 
         # Predict.
         dt = np.fmax(time_s - last.time_s, 0.0)  # 0 for a new track
-        w_b = 0.0 if cut is None else np.nan_to_num(yaw_rad_s) * cut.bearing
-        ego_mps = ego_speed_mps - w_b * np.where(np.isnan(last.d), np.nan_to_num(z), last.d)
-        dV = np.nan_to_num(ego_mps - last.ego_mps)  # 0 if the ego speed was or is unknown
-        dV_variance = np.where(
-            dV == 0, 0.0, 2 * np.nan_to_num(ego_sigma_mps) ** 2 * -np.expm1(-dt / _EGO_CORRELATION_S)
-        )
+        w_b = 0.0 if cut is None else (0.0 if math.isnan(yaw_rad_s) else yaw_rad_s) * cut.bearing
+        ego_mps = ego_speed_mps - w_b * np.where(np.isnan(last.d), np.fmax(z, 0.0), last.d)
+        dV = ego_mps - last.ego_mps
+        dV = np.where(np.isnan(dV), 0.0, dV)  # 0 if the ego speed was or is unknown
+        ego_variance = 0.0 if math.isnan(ego_sigma_mps) else ego_sigma_mps**2
+        dV_variance = np.where(dV == 0, 0.0, 2 * ego_variance * -np.expm1(-dt / _EGO_CORRELATION_S))
         state, side, q = (
             ConstantVelocity(*last[:5]),
             SideState._make(getattr(last, name) for name in SideState._fields),
@@ -253,14 +253,14 @@ class DistanceFilters:
         is_expired = (time_s - last.measured_s > settings.max_gap_s) | (d < _MIN_DISTANCE_M)
         d, v = np.where(is_expired.any(axis=1, keepdims=True), np.nan, (d, v))
         changing = np.abs(last.d * last.v) * _DRIFT + last.d**2 * _LONG_DRIFT_HZ * _IS_LONG[classes]
-        drift = np.nan_to_num(np.minimum(last.systematic, _MAX_DRIFTING**2) * changing)
+        drift = np.fmax(np.minimum(last.systematic, _MAX_DRIFTING**2) * changing, 0.0)  # 0 for a new track
         P_dd, P_dv = (
             state.P_xx + dt * dt / 4 * dV_variance + dt * drift * settings.learns_noise,
             state.P_xv + dt / 2 * dV_variance,
         )
         P_vv = state.P_vv + dV_variance
         key = KeyDistance(np.where(is_side, np.nan, last.r), last.P_dr, last.P_vr, last.P_rr).predicted(dt)
-        static_mps = models.start_sigma_mps(classes, 0.0, np.sqrt(np.nan_to_num(last.systematic)) * ego_mps)
+        static_mps = models.start_sigma_mps(classes, 0.0, np.sqrt(np.fmax(last.systematic, 0.0)) * ego_mps)
         # A static model that follows a moving object is no longer static: no object changes to it.
         is_moving = np.abs(v + ego_mps) > settings.outlier_sigma * static_mps
         weight = models.predicted(last.weight, prior * ~(models.is_static & is_moving), dt)
@@ -373,25 +373,28 @@ class DistanceFilters:
     ) -> dict[str, FilteredRanges]:
         w, systematic = state.weight, state.systematic[:, 0]
         d, v = mean_of(state.d, w), mean_of(state.v, w)
-        P_dd, P_dv = covariance_of(state.d, state.d, state.P_dd, w), covariance_of(state.d, state.v, state.P_dv, w)
-        P_vv = covariance_of(state.v, state.v, state.P_vv, w)
+        dd, dv = state.d - d[:, None], state.v - v[:, None]  # deviations of the models from their mean
+        P_dd, P_dv = mean_of(state.P_dd + dd * dd, w), mean_of(state.P_dv + dd * dv, w)
+        P_vv = mean_of(state.P_vv + dv * dv, w)
 
         # Static objects come nearer with V, whatever their size; the speed of others has the error of their size.
         is_static = self._models.is_static & np.isfinite(state.ego_mps)
-        static_P = STATIC_RATE_SIGMA_MPS**2 + np.nan_to_num(ego_sigma_mps) ** 2
+        static_P = STATIC_RATE_SIGMA_MPS**2 + (0.0 if math.isnan(ego_sigma_mps) else ego_sigma_mps**2)
         true_v = np.where(is_static, -state.ego_mps, state.v)
+        mean_v = mean_of(true_v, w)
+        true_dv = true_v - mean_v[:, None]
         true_P = np.where(is_static, static_P, state.P_vv + state.systematic * state.v**2)
         is_steady = time_s - state.steady_since_s[:, 0] >= self._settings.min_steady_s
-        rate_variance = covariance_of(true_v, true_v, true_P, w)
+        rate_variance = mean_of(true_P + true_dv * true_dv, w)
         is_certain = (np.fmin(P_vv, rate_variance) <= self._settings.max_rate_sigma_mps**2) & is_steady
-        rate_mps = np.where(is_certain, mean_of(true_v, w), np.nan)
+        rate_mps = np.where(is_certain, mean_v, np.nan)
         rate_sigma_mps = np.where(is_certain, np.sqrt(rate_variance), np.nan)
         sigma_m = np.sqrt(P_dd + systematic * d**2)
         ttc_s, ttc_sigma_s = time_to_collision(d, np.where(is_certain, v, np.nan), variances=(P_dd, P_dv, P_vv))
         # The state has the rate of static objects, too, without the errors of sizes.
         true_P = np.where(is_static, static_P, state.P_vv)
-        v, P_dv = mean_of(true_v, w), covariance_of(state.d, true_v, np.where(is_static, 0.0, state.P_dv), w)
-        P_vv = covariance_of(true_v, true_v, true_P, w)
+        v, P_dv = mean_v, mean_of(np.where(is_static, 0.0, state.P_dv) + dd * true_dv, w)
+        P_vv = mean_of(true_P + true_dv * true_dv, w)
         static = mean_of(is_static.astype(np.float64), w)
         return {
             name: FilteredRanges(

@@ -40,7 +40,7 @@ class KeyDistance(NamedTuple):
 
     def stepped(self, d: FloatArray, variance: FloatArray) -> KeyDistance:
         """The state after a relative step of both distances, which adds `variance` to that of d."""
-        c = np.nan_to_num(self.r / d)
+        c = np.fmax(self.r / d, 0.0)  # 0 without a key frame
         return self._replace(P_dr=self.P_dr + c * variance, P_rr=self.P_rr + c * c * variance)
 
     def updated(self, state: ConstantVelocity, nu: FloatArray, R: FloatArray, *, valid: BoolArray) -> KeyDistance:

@@ -86,8 +86,3 @@ class MotionModels:
 def mean_of(x: FloatArray, weight: FloatArray) -> FloatArray:
     """(M, N) mean over the models (M, G, N)."""
     return np.asarray((weight * x).sum(axis=1))
-
-
-def covariance_of(x: FloatArray, y: FloatArray, P: FloatArray, weight: FloatArray) -> FloatArray:
-    """(M, N) covariance over the models of x and y, whose covariance in each model is P."""
-    return mean_of(P + (x - mean_of(x, weight)[:, None]) * (y - mean_of(y, weight)[:, None]), weight)

@@ -100,6 +100,7 @@ class Horizon:
 
 
 _N = 4  # number of the unknowns x = (y0, H, fy k, b)
+_LOWER = np.tril_indices(_N, k=-1)
 _FIXED = 1e-3  # standard deviation of unknowns that are taken to be 0, in px/m and as a fraction
 _N_CURVE_ROUNDS = 3  # of fixed-point iteration on a curved road; the fraction of the curvature changes slowly
 _MIN_SLOPE = 0.3  # smallest change of the row with distance, relative to that on a plane road: near a crest
@@ -163,7 +164,7 @@ class GroundPlane:
         self._time_s: float | None = None
         self._road: RoadView | None = None
         self._bias_variance = _FIXED**2
-        self._prior = self._prior_terms()
+        self._known_prior: FloatArray | None = None  # computed when it is needed: its inputs change more often
 
     @property
     def horizon(self) -> Horizon:
@@ -190,12 +191,12 @@ class GroundPlane:
         self._road = road
         if bias_sigma is not None:
             self._bias_variance = bias_sigma**2
-        self._prior = self._prior_terms()
+        self._known_prior = None
 
     def set_height(self, height_m: float, sigma_m: float) -> None:
         """Set the prior of the camera height."""
         self._settings = replace(self._settings, height_m=height_m, height_sigma_m=sigma_m)
-        self._prior = self._prior_terms()
+        self._known_prior = None
 
     def add_horizon(self, y_px: float, sigma_px: float) -> None:
         """Add the row at which lane lines meet as a measurement of the horizon; it decays like that of a track.
@@ -221,10 +222,12 @@ class GroundPlane:
         self._time_s = frame.time_s
         memory = math.exp(-step_s / self._settings.memory_s)
         if self._road is None and step_s > 0:
-            has_left = ~np.isin(self._ids, tracks.track_id)
+            present = set(tracks.track_id.tolist())
+            left = [slot for slot, track_id in enumerate(self._ids.tolist()) if track_id not in present]
             self._past_terms *= math.exp(-step_s / _DRIVE_S)
-            self._past_terms += _PAST_WEIGHT * (1.0 - memory) * self._terms[..., has_left].sum(axis=-1)
-            self._prior = self._prior_terms()
+            if left:
+                self._past_terms += _PAST_WEIGHT * (1.0 - memory) * self._terms[..., left].sum(axis=-1)
+            self._known_prior = None
         self._terms *= memory
         self._lane_terms *= memory if self._lane_terms[0, 0] * self._pitch_px2 > _MIN_INFORMATION else 0.0
         if not len(tracks):
@@ -241,8 +244,14 @@ class GroundPlane:
         contacts = self._contacts(tracks, Ranges.unmeasured(tracks.track_id), frame)
         return self._ranges(tracks.track_id, contacts, _solved(self._prior + self._lane_terms))
 
-    def _prior_terms(self) -> FloatArray:
+    @property
+    def _prior(self) -> FloatArray:
         """(4, 5) normal equations of the settings, of image motion or the mounting, and of the drive's bias."""
+        if self._known_prior is None:
+            self._known_prior = self._prior_terms()
+        return self._known_prior
+
+    def _prior_terms(self) -> FloatArray:
         settings, fy, road = self._settings, self._camera.fy_px, self._road
         mean, P = np.zeros(_N), np.zeros((_N, _N))
         mean[1], P[1, 1], P[3, 3] = settings.height_m, settings.height_sigma_m**2, self._bias_variance
@@ -258,8 +267,9 @@ class GroundPlane:
             mean, P = _solved(np.column_stack([information, information @ mean]) + self._past_terms)
             P[0, 0] += (settings.pitch_sigma_rad * fy) ** 2
             information = np.linalg.inv(P)
-        upper = np.triu(information)  # the inverse is symmetric but for rounding
-        return np.column_stack([upper + np.triu(upper, k=1).T, information @ mean])
+        terms = np.column_stack([information, information @ mean])
+        terms[_LOWER] = information.T[_LOWER]  # the inverse is symmetric but for rounding
+        return terms
 
     def _expected_px(self, x_px: FloatArray) -> FloatArray:
         """Row (...) of the expected horizon at columns (...): that of image motion, or of the camera's axis."""
