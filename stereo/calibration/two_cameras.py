@@ -60,6 +60,7 @@ class PairCalibration:
     left: one_camera.CameraCalibration  # from the common fit, like `right`
     right: one_camera.CameraCalibration
     baseline_std_m: float  # standard deviation of the baseline, from leaving out pairs
+    scale_sigma: float  # relative standard deviation of focal length times baseline, likewise
     rms_px: float  # root mean square residual of all corners
     # the same of the left and of the right camera fitted alone; the difference to `rms_px` is due to boards or cameras
     # that moved between the two images of a pair
@@ -104,7 +105,8 @@ def calibrate_pair(
         partial, _ = _fit(subset, models)
         held_out_px.extend(row_error_px(partial, pair) for pair in used if not any(pair is member for member in subset))
         baseline_m = np.linalg.norm(partial.right_from_left[:3, 3])
-        return np.array([*one_camera.intrinsics(partial.left), *one_camera.intrinsics(partial.right), baseline_m])
+        cameras = *one_camera.intrinsics(partial.left), *one_camera.intrinsics(partial.right)
+        return np.array([*cameras, baseline_m, partial.left.fx_px * baseline_m])
 
     std = jackknife_sigma(one_camera.leave_out_groups(used, parameters_of, advance))
     left = _camera_calibration(rig.left, [fit.left for fit in fits], std[:4])
@@ -114,6 +116,7 @@ def calibrate_pair(
         left,
         right,
         baseline_std_m=float(std[8]),
+        scale_sigma=float(std[9]) / abs(rig.left.fx_px * rig.baseline_m),
         rms_px=math.sqrt((left.rms_px**2 + right.rms_px**2) / 2),
         single_rms_px=(left_px, right_px),
         row_error_px=float(np.mean([fit.row_error_px for fit in fits])),

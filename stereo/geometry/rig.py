@@ -85,6 +85,22 @@ class StereoRig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RigAccuracy:
+    """Relative standard deviations of a calibration with a board; the names of the attributes are keys of rig.yaml."""
+
+    focal_sigma: float  # of the focal length, of a pair of the left camera's
+    scale_sigma: float  # of the scale of distances: of focal length times baseline, of one camera of the focal length
+
+    @property
+    def sentence(self) -> str:
+        """Message for the user."""
+        return (
+            f"Calibrated with a board: the focal length is known within {100 * self.focal_sigma:.2g} %, the scale of "
+            f"distances within {100 * self.scale_sigma:.2g} %, which is part of the sigma of every distance."
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Mounting:
     """Results of a calibration from the road; the names of the attributes are keys of rig.yaml."""
 

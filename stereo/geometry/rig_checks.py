@@ -17,7 +17,7 @@ from track_range.foundation.validation import Integer
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.image_size import has_aspect_of, is_size_of
 from track_range.stereo.geometry.lenses import LENSES
-from track_range.stereo.geometry.rig import Mounting, RigError, StereoRig
+from track_range.stereo.geometry.rig import Mounting, RigAccuracy, RigError, StereoRig
 
 BASELINE_M = (0.01, 5.0)  # plausible range of the baseline, metres
 MAX_SIDE_PX = 32768  # largest plausible width or height of an image, pixels; four times that of 8K video
@@ -54,6 +54,7 @@ class RigCalibration:
     unit_doubt: str = ""  # why the unit of the lengths is not known, as a message; "" = it is known
     # height and pitch of a single camera, and the uncertainty of its focal length; None = unknown
     mounting: Mounting | None = None
+    accuracy: RigAccuracy | None = None  # of a calibration with a board; None = unknown
 
     def checked_rig(self, source: object) -> StereoRig | None:
         """The rig; None for a single camera. Raises RigError if it is implausible, or its unit is not known."""

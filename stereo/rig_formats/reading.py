@@ -9,7 +9,7 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.image_size import fitted_rig, fitted_to_size
-from track_range.stereo.geometry.rig import Mounting, RigError, StereoRig
+from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import RigCalibration, check_camera, check_rig, shared_view_notes
 from track_range.stereo.rig_formats.body_frames import EUROC, VINS
 from track_range.stereo.rig_formats.devices import OAK, REALSENSE, ZED
@@ -122,11 +122,6 @@ def left_from_reference_m(path: Path, *, is_grey: bool, size_px: tuple[int, int]
     """
     calibration = read_calibration(path, is_grey=is_grey, is_pair=False).of_size(size_px)
     return np.array(calibration.left_from_reference_m)
-
-
-def mounting_of(path: Path) -> Mounting | None:
-    """Height, pitch and focal uncertainty of the single camera of a file, None = not in it; RigError if unreadable."""
-    return read_calibration(path, is_grey=False, is_pair=False).mounting
 
 
 def find_rig(left_video: Path) -> Path | None:

@@ -11,6 +11,10 @@ of the wide lens named by the key `lens` (kannala-brandt: k1 .. k4, double-spher
 A camera that was calibrated from the road has the uncertainty of its focal length, and its height and pitch:
 
     mounting: {focal_sigma: 0.04, camera_height_m: 1.42, camera_height_sigma_m: 0.05, pitch_deg: 1.1, ...}
+
+A calibration with a board has the relative standard deviations of focal length and scale (focal length times baseline):
+
+    accuracy: {focal_sigma: 0.0008, scale_sigma: 0.0011}
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,7 +27,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from track_range.foundation.files.structured_text import parse_yaml, yaml_text
 from track_range.foundation.validation import Number, PositiveNumber, Version1, validated
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.rig import Mounting, RigError, StereoRig, rigid_motion
+from track_range.stereo.geometry.rig import Mounting, RigAccuracy, RigError, StereoRig, rigid_motion
 from track_range.stereo.geometry.rig_checks import ImageSide, RigCalibration, check_camera, check_rig
 from track_range.stereo.rig_formats.rig_format import RigFormat, write_rig_text
 
@@ -64,6 +68,12 @@ class _MountingFile(BaseModel):
     pitch_sigma_deg: Annotated[Number, Field(ge=0, le=90)]
 
 
+class _AccuracyFile(BaseModel):
+    model_config = _Strict
+    focal_sigma: Annotated[Number, Field(ge=0, le=1)]
+    scale_sigma: Annotated[Number, Field(ge=0, le=1)]
+
+
 class _RigFile(BaseModel):
     model_config = _Strict
     track_range_rig: Version1
@@ -71,9 +81,10 @@ class _RigFile(BaseModel):
     right: _CameraFile | None = None
     right_from_left: _MotionFile | None = None
     mounting: _MountingFile | None = None
+    accuracy: _AccuracyFile | None = None
 
 
-def save_rig(rig: StereoRig, path: Path, *, comments: Sequence[str] = ()) -> None:
+def save_rig(rig: StereoRig, path: Path, *, comments: Sequence[str] = (), accuracy: RigAccuracy | None = None) -> None:
     """Write rig.yaml, with `comments` as its first lines; RigError for an implausible rig, or an unwritable file."""
     check_rig(rig, path)
     rotation, translation_m = rig.right_from_left[:3, :3].tolist(), rig.right_from_left[:3, 3].tolist()
@@ -81,21 +92,27 @@ def save_rig(rig: StereoRig, path: Path, *, comments: Sequence[str] = ()) -> Non
         "left": _camera_content(rig.left),
         "right": _camera_content(rig.right),
         "right_from_left": {"rotation": rotation, "translation_m": translation_m},
+        **({} if accuracy is None else {"accuracy": asdict(accuracy)}),
     }
     _save(content, path, comments)
 
 
 def save_camera(
-    camera: PinholeCamera, path: Path, *, comments: Sequence[str] = (), mounting: Mounting | None = None
+    camera: PinholeCamera,
+    path: Path,
+    *,
+    comments: Sequence[str] = (),
+    mounting: Mounting | None = None,
+    accuracy: RigAccuracy | None = None,
 ) -> None:
     """Write one camera as rig.yaml, with `comments` as its first lines; a calibration for --mono.
 
-    `mounting` is stored too, if it is given. Raises RigError if the camera is implausible, or the file cannot be
-    written.
+    `mounting` and `accuracy` are stored too, if they are given. Raises RigError if the camera is implausible, or the
+    file cannot be written.
     """
     check_camera(camera, path)
-    mounted = {} if mounting is None else {"mounting": asdict(mounting)}
-    _save({"left": _camera_content(camera), **mounted}, path, comments)
+    known = {name: asdict(part) for name, part in (("mounting", mounting), ("accuracy", accuracy)) if part is not None}
+    _save({"left": _camera_content(camera), **known}, path, comments)
 
 
 def _write(cameras: StereoRig | PinholeCamera, path: Path, comments: Sequence[str]) -> None:
@@ -119,12 +136,14 @@ def _save(content: Mapping[str, object], path: Path, comments: Sequence[str]) ->
 def _read(text: str, path: Path, _is_grey: bool) -> RigCalibration:
     rig = validated(_RigFile, parse_yaml(text, path, RigError, "a rig"), path, RigError)
     left = rig.left.camera()
+    accuracy = None if rig.accuracy is None else RigAccuracy(**rig.accuracy.model_dump())
+    known = () if accuracy is None else (accuracy.sentence,)
     if rig.right is None or rig.right_from_left is None:
         mounting = None if rig.mounting is None else Mounting(**rig.mounting.model_dump())
-        notes = () if mounting is None else (mounting.sentence,)
-        return RigCalibration(left, None, None, mounting=mounting, notes=notes)
-    motion = rig.right_from_left
-    return RigCalibration(left, rig.right.camera(), rigid_motion(motion.rotation, motion.translation_m))
+        notes = known if mounting is None else (mounting.sentence, *known)
+        return RigCalibration(left, None, None, mounting=mounting, accuracy=accuracy, notes=notes)
+    motion = rigid_motion(rig.right_from_left.rotation, rig.right_from_left.translation_m)
+    return RigCalibration(left, rig.right.camera(), motion, accuracy=accuracy, notes=known)
 
 
 RIG_YAML = RigFormat(

@@ -10,6 +10,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from tests.stereo.board_scenes import exact_view, pose
+from track_range.calibration.from_boards import wide_lens_warnings
 from track_range.stereo.calibration.board_views import BoardFinder, BoardView, common_corners
 from track_range.stereo.calibration.boards import CalibrationError, ChessBoard
 from track_range.stereo.calibration.fisheye_fit import board_pose, fit_fisheye, solve_blocks
@@ -19,6 +20,7 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 
 LENS = "kannala-brandt"
+ORDINARY = PinholeCamera(230.0, 229.0, 325.0, 236.0, 640, 480)
 FISHEYE = PinholeCamera(230.0, 229.0, 325.0, 236.0, 640, 480, (0.02, -0.02, 0.015, -0.005), LENS)
 RIGHT = PinholeCamera(232.0, 231.5, 318.0, 244.0, 640, 480, (0.015, -0.01, 0.01, -0.004), LENS)
 
@@ -157,3 +159,13 @@ def test_the_real_fisheye_rig(shared_data):
     assert max(result.single_rms_px) < 0.25
     assert result.rms_px < 0.3
     assert result.rig.baseline_m == pytest.approx(0.111, rel=0.02)
+
+
+@pytest.mark.slow
+def test_a_pinhole_model_of_a_wide_lens_is_noticed():
+    poses = facing_poses(12, largest_deg=50.0)
+    wide, ordinary = (calibrate_camera(views_of(camera, poses)) for camera in (FISHEYE, ORDINARY))
+    (warning,) = wide_lens_warnings("left", wide)
+    assert warning.startswith("left: ")
+    assert "--lens fisheye" in warning
+    assert [*wide_lens_warnings("left", ordinary)] == []

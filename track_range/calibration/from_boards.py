@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -18,11 +19,19 @@ from track_range.foundation.errors import UsageError
 from track_range.foundation.files.cache_folder import set_matplotlib_folder
 from track_range.foundation.files.output_files import check_outputs, write_bytes, write_json
 from track_range.foundation.progress import StepProgress, no_progress
-from track_range.stereo.calibration.boards import Board, board_of
+from track_range.stereo.calibration.boards import Board, CalibrationError, board_of
 from track_range.stereo.calibration.coverage import view_shape
-from track_range.stereo.calibration.one_camera import CameraCalibration, ViewFit, calibrate_camera
+from track_range.stereo.calibration.one_camera import (
+    CameraCalibration,
+    CameraModel,
+    ViewFit,
+    calibrate_camera,
+    fit_camera,
+    total_rms_px,
+)
 from track_range.stereo.calibration.two_cameras import PairCalibration, calibrate_pair
 from track_range.stereo.geometry.lenses import KANNALA_BRANDT, PINHOLE
+from track_range.stereo.geometry.rig import RigAccuracy
 from track_range.stereo.geometry.virtual_pinhole import field_of_view
 from track_range.stereo.rig_formats.rig_yaml import save_camera, save_rig
 
@@ -31,6 +40,8 @@ _REACH_DEG = 5.0  # angle by which images may reach farther from the optical axi
 _BOARD_M = (0.1, 20.0)  # plausible range of the median distance of the board, m; outside, --square-mm is probably wrong
 _ARROW_FRACTION = 0.025  # arrow of the 90th percentile of the residuals / image width
 _N_CELLS = 40  # cells along a row of the image in which corners are counted
+_WIDE_DEG = 75.0  # field of view from which a fisheye is tried
+_BETTER = 0.7  # residual of a fisheye / of a pinhole below which the lens is wide; 0.95 to 1 of ordinary lenses
 _OUT_OF_FOCUS_PX = 6.0  # median edge width of the views, px, above which the images count as out of focus
 
 
@@ -50,6 +61,14 @@ class BoardCalibration:
         return {"camera": self.result}
 
     @property
+    def accuracy(self) -> RigAccuracy:
+        """Relative standard deviations of focal length and scale."""
+        camera, std = next((one.camera, one.std) for one in self.cameras.values())
+        focal_sigma = max(std.fx_px / camera.fx_px, std.fy_px / camera.fy_px)
+        scale_sigma = self.result.scale_sigma if isinstance(self.result, PairCalibration) else focal_sigma
+        return RigAccuracy(focal_sigma=float(f"{focal_sigma:.3g}"), scale_sigma=float(f"{scale_sigma:.3g}"))
+
+    @property
     def warnings(self) -> list[str]:
         """Warnings for the user about implausible results."""
         return list(self.figures["warnings"])
@@ -58,9 +77,9 @@ class BoardCalibration:
         """Write the rig, the picture and perhaps the results, and return their paths; OutputError or RigError."""
         comments = [f"track-range calibrate: {len(self.result.fits)} views, residual {self.result.rms_px:.3f} px RMS"]
         if isinstance(self.result, PairCalibration):
-            save_rig(self.result.rig, settings.out, comments=comments)
+            save_rig(self.result.rig, settings.out, comments=comments, accuracy=self.accuracy)
         else:
-            save_camera(self.result.camera, settings.out, comments=comments)
+            save_camera(self.result.camera, settings.out, comments=comments, accuracy=self.accuracy)
         picture = picture_file(settings)
         write_bytes(picture, calibration_picture(self.cameras))
         write_json(settings.json_file, self.figures)
@@ -114,6 +133,7 @@ def _measured_figures(calibration: BoardCalibration) -> dict[str, Any]:
             "right_from_left": result.rig.right_from_left.tolist(),
             "baseline_m": result.rig.baseline_m,
             "baseline_sd_m": result.baseline_std_m,
+            "scale_sigma": result.scale_sigma,
             "rms_px": result.rms_px,
             "single_rms_px": list(result.single_rms_px),
             "rows_px": result.row_error_px,
@@ -177,6 +197,7 @@ def _warnings(search: BoardSearch, cameras: Mapping[str, CameraCalibration]) -> 
         warnings.append(f"the median distance of the boards is {distance_m:.3g} m; check --square-mm.")
     if float(np.median([view.edge_px for shot in search.shots for view in shot])) > _OUT_OF_FOCUS_PX:
         warnings.append("most images are out of focus; focus and lock the lens before calibrating.")
+    warnings += [text for name, calibration in cameras.items() for text in wide_lens_warnings(name, calibration)]
     for name, calibration in cameras.items():
         # the corners determine a wide lens not as far from its axis as its images reach
         if not calibration.camera.is_wide:
@@ -197,6 +218,22 @@ def _warnings(search: BoardSearch, cameras: Mapping[str, CameraCalibration]) -> 
             f"images of the two cameras differ in size ({', '.join(sorted(sizes))}); a run needs videos of equal size."
         )
     return warnings
+
+
+def wide_lens_warnings(name: str, calibration: CameraCalibration) -> Iterator[str]:
+    """A warning if a fisheye, which has fewer terms, fits the views of a pinhole camera much better."""
+    camera, views = calibration.camera, [fit.view for fit in calibration.fits]
+    if camera.is_wide or 2 * math.degrees(math.atan(camera.width_px / 2 / camera.fx_px)) < _WIDE_DEG:
+        return
+    with contextlib.suppress(CalibrationError):
+        fisheye, fits = fit_camera(views, CameraModel(lens=KANNALA_BRANDT))
+        rms_px = total_rms_px(fits)
+        if rms_px < _BETTER * calibration.rms_px:
+            yield (
+                f"{name}: the residual of the pinhole model is {calibration.rms_px:.2f} px RMS, that of a fisheye "
+                f"{rms_px:.2f} px, with a focal length of {fisheye.fx_px:.0f} instead of {camera.fx_px:.0f} px: the "
+                "lens is wide; repeat with --lens fisheye."
+            )
 
 
 def calibration_picture(cameras: Mapping[str, CameraCalibration]) -> bytes:

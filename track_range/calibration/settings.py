@@ -147,6 +147,10 @@ class CalibrationSettings(Options):
         float | None,
         option("Measured height of the camera above the road in m.", metavar="M", panel=_ROAD, gt=0.2, le=5),
     ] = None
+    force: Annotated[
+        bool,
+        option("Write the calibration also if the measurements contradict each other.", panel=_ROAD),
+    ] = False
     camera_model: Annotated[
         str | None,
         option("Camera model with a published field of view, such as 'comma EON'.", metavar="NAME", panel=_ROAD),

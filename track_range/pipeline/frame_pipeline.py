@@ -42,7 +42,7 @@ class FramePipeline:
     warning: CollisionWarning | None = field(default_factory=CollisionWarning)
     scale_check: ScaleCheck | None = None  # of what was given; None = off
     has_visible_boxes: bool = False  # as in `MethodContext`
-    shared_sigma: float = 0.0  # relative error shared by all methods, from an uncalibrated focal length
+    shared_sigma: float = 0.0  # relative error shared by all methods, from the calibration
     notes: tuple[str, ...] = ()  # messages for the user about the parts of the pipeline
     clock: StageClock = field(default_factory=StageClock)  # time spent in each stage
     _path: EgoPath = field(default_factory=EgoPath, init=False)

@@ -141,6 +141,6 @@ def open_pipeline(
         ranging=RangingStage(create_rangers(context)),
         warning=CollisionWarning(settings.warning_settings) if is_ahead else None,
         has_visible_boxes=context.has_visible_boxes,
-        shared_sigma=context.focal_sigma,
+        shared_sigma=calibration.scale_sigma,
         notes=(*appearance_notes, *method_notes(), *(() if is_ahead else (_SIDE_VIEW,))),
     )

@@ -12,7 +12,7 @@ import pytest
 
 from tests.stereo.board_scenes import CAMERA, drawn, pose, rig, varied_poses
 from track_range.stereo.calibration.boards import CharucoBoard
-from track_range.stereo.rig_formats.reading import load_calibration, load_camera, load_rig
+from track_range.stereo.rig_formats.reading import load_calibration, load_camera, load_rig, read_calibration
 
 TRUE = rig()
 N = 8
@@ -88,6 +88,12 @@ def test_pair(boards, tmp_path, cli):
     assert calibrated.baseline_m == pytest.approx(TRUE.baseline_m, rel=0.005)
     assert read["baseline_m"] == pytest.approx(calibrated.baseline_m)
     assert 0 < read["baseline_sd_m"] < 0.002
+    accuracy = read_calibration(out, is_grey=False, is_pair=True).accuracy
+    assert accuracy.scale_sigma == pytest.approx(read["scale_sigma"], rel=0.01)
+    assert 1e-5 < accuracy.focal_sigma < 0.005
+    assert abs(calibrated.left.fx_px * calibrated.baseline_m / (TRUE.left.fx_px * TRUE.baseline_m) - 1) < max(
+        3 * accuracy.scale_sigma, 1e-3
+    )
     assert read["rows_px"] < 0.1
     assert read["held_out_rows_px"] < 0.15
     assert "rectification" in printed

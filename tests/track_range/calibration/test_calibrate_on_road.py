@@ -15,7 +15,7 @@ from track_range.foundation.errors import UsageError
 from track_range.recording.cameras.focal_sources import KNOWN_CAMERAS, focal_guesses
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import Mounting
-from track_range.stereo.rig_formats.reading import load_camera, mounting_of
+from track_range.stereo.rig_formats.reading import load_camera, read_calibration
 from track_range.stereo.rig_formats.rig_yaml import save_camera
 
 MOUNTING = Mounting(
@@ -218,9 +218,16 @@ def test_real_drive(shared_data, tmp_path, cli):
     assert -1.0 < mounting_of(out).pitch_deg < 3.0
     one_sigma = mounting.focal_sigma
     wrong = ("--known-distance", f"{box}=31.1", "--known-distance", "0,257,176,301,200=10")
+    written = out.read_bytes()
     status, printed, complaint = cli("calibrate", "--mono", video, *wrong, "--out", out)
+    assert (status, "--force" in complaint, "contradict each other" in printed) == (1, True, True)
+    assert out.read_bytes() == written
+    status, printed, complaint = cli("calibrate", "--mono", video, *wrong, "--out", out, "--force")
     assert status == 0, complaint
-    assert "contradict each other" in printed
     assert mounting_of(out).focal_sigma > 3 * one_sigma
     status, _, complaint = cli("calibrate", "--mono", video, "--known-distance", "0,900,20,980,60=12", "--out", out)
     assert (status, "the detector finds none there" in complaint) == (2, True)
+
+
+def mounting_of(path):
+    return read_calibration(path, is_grey=False, is_pair=False).mounting

@@ -14,7 +14,7 @@ from track_range.recording.threads import FRAMES_AHEAD
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import whole_image
-from track_range.stereo.geometry.rig import Mounting, RigError, StereoRig
+from track_range.stereo.geometry.rig import Mounting, RigAccuracy, RigError, StereoRig
 from track_range.stereo.rig_formats.rig_yaml import save_camera, save_rig
 
 WIDTH_PX, HEIGHT_PX, SHIFT_PX = 320, 160, 12
@@ -180,6 +180,18 @@ def test_uncertain_focal_length_of_a_file(pair, tmp_path):
     assert (recording.calibration.focal_sigma, recording.calibration.camera_height_m) == (0.04, 1.4)
     assert any("4.0 %" in note for note in recording.notes)
     recording.close()
+
+
+def test_sigmas_of_a_calibration_with_a_board(pair, tmp_path):
+    camera = PinholeCamera.of_focal_length(300.0, (WIDTH_PX, HEIGHT_PX))
+    accuracy = RigAccuracy(focal_sigma=0.01, scale_sigma=0.02)
+    save_rig(StereoRig.rectified(camera, 0.5), tmp_path / "rig.yaml", accuracy=accuracy)
+    for videos, scale_sigma in ((pair[:1], 0.01), (pair[:2], 0.02)):
+        recording = open_recording(*videos, align="off")
+        calibration = recording.calibration
+        assert (calibration.scale_sigma, calibration.focal_sigma) == (scale_sigma, 0.0)
+        assert any("within 2 %" in note for note in recording.notes)
+        recording.close()
 
 
 def test_swapped_uncalibrated_pair_is_an_error(tmp_path):

@@ -12,13 +12,17 @@ from track_range.cli.parameters import command
 from track_range.foundation.errors import UsageError
 from track_range.run.progress import step_progress
 from track_range.stereo.calibration.board_views import RejectedView
+from track_range.stereo.calibration.boards import CalibrationError
 from track_range.stereo.calibration.coverage import view_shape
 from track_range.stereo.calibration.one_camera import CameraCalibration, ViewFit
 from track_range.stereo.calibration.two_cameras import PairCalibration, PairFit
 from track_range.views.report.tables import SIGMA, Column, grid_of
 
 _BOARD_OPTIONS = ("square_mm", "lens_terms", "picture")
-_ROAD_OPTIONS = ("known_distance", "known_height", "known_width", "known_lane_width", "camera_height_m", "camera_model")
+_ROAD_OPTIONS = (
+    *("known_distance", "known_height", "known_width", "known_lane_width"),
+    *("camera_height_m", "camera_model", "force"),
+)
 _N_COEFFICIENTS = (0, 4, 5, 8)
 
 
@@ -86,6 +90,11 @@ def _calibrate_on_road(settings: CalibrationSettings) -> None:
         names = [f"{residual.name}: {residual.kind}, {residual.unit}" for residual in residuals]
         print_grid(console, grid_of("Residuals", "measurement", names, columns))
     print_line(console, *calibration.sentences)
+    if calibration.fit.contradiction != 1.0 and not settings.force:
+        raise CalibrationError(
+            f"expected measurements that agree, found a contradiction (see the warning), so {settings.out} was not "
+            "written; correct the boxes or metres, or write it with the larger sigmas by --force."
+        )
     print_line(console, f"Written: {', '.join(map(str, calibration.save(settings)))}.")
 
 

@@ -21,7 +21,7 @@ from track_range.stereo.geometry.virtual_pinhole import field_of_view
 from track_range.stereo.rig_formats import reading
 from track_range.stereo.rig_formats.matrices import UNIT_NAMES
 from track_range.stereo.rig_formats.rig_format import write_rig_text
-from track_range.stereo.rig_formats.rig_yaml import save_camera
+from track_range.stereo.rig_formats.rig_yaml import save_camera, save_rig
 from track_range.stereo.rig_formats.template import rig_template
 from track_range.views.report.tables import Column, grid_of
 
@@ -81,22 +81,22 @@ def _convert(options: ConvertOptions) -> None:
     camera = calibration.left if isinstance(calibration, StereoRig) else calibration
     if not camera.width_px:
         raise RigError(f"{source}: expected an image size, found none; give --size WIDTHxHEIGHT.")
-    mounting, notes = reading.mounting_of(source), list(loading_notes)
+    content, notes = reading.read_calibration(source, is_grey=False, is_pair=False), list(loading_notes)
     shift_m = float(np.linalg.norm(reading.left_from_reference_m(source, is_grey=False, size_px=size_px)))
     if shift_m:  # of KITTI files
         notes.append(
             f"The reference frame of KITTI labels is {shift_m:.3f} m from the left camera, which OUT does not store: "
             f"use --rig {source.name} in runs with --truth."
         )
+    comments = [f"from {source.name}"]
     if options.to == _OURS and isinstance(calibration, PinholeCamera):
-        save_camera(calibration, out, comments=[f"from {source.name}"], mounting=mounting)
+        save_camera(calibration, out, comments=comments, mounting=content.mounting, accuracy=content.accuracy)
+    elif options.to == _OURS and isinstance(calibration, StereoRig):
+        save_rig(calibration, out, comments=comments, accuracy=content.accuracy)
     else:
-        writers[options.to](calibration, out, [f"from {source.name}"])
-        if mounting is not None:
-            notes.append(
-                "OUT does not store the uncertainty of the focal length and the camera height: "
-                f"use --rig {source.name}."
-            )
+        writers[options.to](calibration, out, comments)
+        if content.mounting is not None or content.accuracy is not None:
+            notes.append(f"OUT does not store the uncertainty of the calibration: use --rig {source.name}.")
     cameras = "two cameras" if isinstance(calibration, StereoRig) else "one camera"
     print_line(console, *notes, f"Written: {out}, {cameras}.")
 

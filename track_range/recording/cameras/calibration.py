@@ -27,7 +27,7 @@ from track_range.stereo.geometry import image_size
 from track_range.stereo.geometry.camera import PinholeCamera, pixel_aspect_of, square_size
 from track_range.stereo.geometry.frames import Frame, ImageView
 from track_range.stereo.geometry.rectification import Rectifier, Undistorter
-from track_range.stereo.geometry.rig import Mounting, RigError, StereoRig
+from track_range.stereo.geometry.rig import Mounting, RigAccuracy, RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import RigCalibration, check_camera, check_rig
 from track_range.stereo.geometry.virtual_pinhole import field_of_view
 from track_range.stereo.rig_formats.camera_info import camera_of, is_undistorted, rig_of
@@ -83,6 +83,7 @@ class RecordingCalibration:
     focal: FocalGuess | None = None  # estimate of a focal length that is not known exactly; None = it is
     # height, pitch and uncertainty of the focal length of a camera that was calibrated from the road; None = unknown
     mounting: Mounting | None = None
+    accuracy: RigAccuracy | None = None  # of a calibration with a board; None = unknown
     alternatives: tuple[image_size.FocalAlternative, ...] = ()  # other readings of the calibration or focal length
     pixel_aspect: float = 1.0  # width / height of the recorded pixels, by the video
 
@@ -93,6 +94,13 @@ class RecordingCalibration:
             return self.focal.sigma
         largest = max((abs(1 - 1 / other.factor) for other in self.alternatives), default=0.0)
         return math.hypot(largest, 0.0 if self.mounting is None else self.mounting.focal_sigma)
+
+    @property
+    def scale_sigma(self) -> float:
+        """Relative standard deviation that all distances share: of the focal length, and of a board's calibration."""
+        known = self.accuracy
+        board = 0.0 if known is None else known.focal_sigma if len(self.sizes_px) == 1 else known.scale_sigma
+        return math.hypot(self.focal_sigma, board)
 
     @property
     def camera_height_m(self) -> float | None:
@@ -352,6 +360,7 @@ def _loaded(
     return replace(
         _of_cameras(cameras, path, notes, sizes_px, view),
         mounting=content.mounting if len(sizes_px) == 1 else None,
+        accuracy=content.accuracy,
         left_from_reference_m=np.array(content.left_from_reference_m),
         alternatives=image_size.size_alternatives(content.left, fitted_px[0]),
     )
