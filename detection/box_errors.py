@@ -25,7 +25,8 @@ class BoxError(NamedTuple):
 BoxErrors = Mapping[str, BoxError]  # by road class; classes that it lacks have the errors of an unknown detector
 
 UNKNOWN_DETECTOR: BoxErrors = dict.fromkeys(ROAD_CLASSES, BoxError(0.0, 0.05, 0.0, 0.05))
-"""Errors of an unknown detector: the means of detectors differ by 0.03, those of the drives of a detector by 0.04."""
+"""Errors of an unknown detector: means differ by 0.03 between detectors, and by 0.04 between drives with one
+detector."""
 
 NO_ERRORS: BoxErrors = dict.fromkeys(ROAD_CLASSES, BoxError(0.0, 0.0, 0.0, 0.0))  # as of projected 3-D boxes
 COCO_BOX_ERRORS: Mapping[str, BoxErrors] = {
@@ -45,7 +46,7 @@ _EXPECTED = (
 
 
 def box_errors_of(value: Any) -> BoxErrors:
-    """Errors from a mapping of road classes to the four numbers of `BoxError`, as in MODEL.yaml; else ValueError."""
+    """Errors from a mapping of road classes to the four numbers of `BoxError`, as in MODEL.yaml. Raises ValueError."""
     try:
         # The index raises a ValueError for other names.
         errors = {ROAD_CLASSES[ROAD_CLASSES.index(name)]: BoxError(*map(float, value[name])) for name in value}

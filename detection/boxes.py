@@ -78,7 +78,7 @@ def nms(
 ) -> IntArray:
     """(K,) indices of the boxes that remain after greedy non-maximum suppression, highest score first.
 
-    Boxes of different classes do not suppress each other, and those with equal scores keep the order of the input. They
+    Boxes of different classes do not suppress each other; boxes with equal scores keep the order of the input. Boxes
     are processed in blocks of decreasing score until `max_boxes` (None = all) have been selected. A box (N, 4) is
     suppressed if its IoU with a higher-scoring box of its class exceeds `max_iou`.
     """

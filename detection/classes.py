@@ -40,9 +40,11 @@ ROAD_CLASS_OF: Mapping[str, str] = {
     **{name: road for table in (_SYNONYMS, _KINDS) for road, names in table.items() for name in names},
 }
 """Road class by the names of COCO, VOC, KITTI, BDD100K, Cityscapes, VisDrone, UA-DETRAC, Open Images, nuScenes and
-Waymo, as `class_key` writes them; other names are not road classes. `_KINDS` are names for only a part of their class.
+Waymo, as `class_key` writes them; other names are not road classes. The names in `_KINDS` cover only a part of their
+class.
 
-For detectors, label files and boxes of other libraries. In KITTI's ground truth, `KITTI_IGNORED` excludes some of them.
+Used for detectors, label files and boxes of other libraries. `KITTI_IGNORED` excludes some names in KITTI's ground
+truth.
 """
 
 SAME_OBJECT_GROUP: IntArray = np.array([0, 1, 2, 1, 2, 2, 3, 4])  # by class_id: detectors confuse those of a group
@@ -85,7 +87,7 @@ def class_key(name: str) -> str:
 def road_class_of(name: str) -> str | None:
     """The road class of a name in another class list; None if it is not a road class.
 
-    Of names with dots, such as nuScenes' vehicle.bus.rigid, the last part that is known counts.
+    In a name with dots, such as nuScenes' vehicle.bus.rigid, the last known part decides.
     """
     key = class_key(name)
     return next((ROAD_CLASS_OF[part] for part in (key, *reversed(key.split("."))) if part in ROAD_CLASS_OF), None)
@@ -124,7 +126,7 @@ def map_to_road_classes(names: Sequence[str]) -> IntArray:
 
 
 def fully_known(names: Sequence[str]) -> BoolArray:
-    """(8,) road classes that a list of class names has as a whole, not only a kind of them such as stop signs."""
+    """(8,) road classes that a list of class names covers as a whole, and not only in part, such as stop signs."""
     kinds = {kind for names_of_class in _KINDS.values() for kind in names_of_class}
     road = map_to_road_classes([name for name in names if class_key(name) not in kinds])
     return np.isin(np.arange(len(ROAD_CLASSES)), road)

@@ -33,8 +33,8 @@ class Detections:
         >>> boxes, boxes.select(boxes.score > 0.5).xyxy_px.tolist()
         (Detections(1 person, 1 car), [[100.0, 50.0, 180.0, 110.0]])
 
-    `class_id`: (N,) int64, index into `ROAD_CLASSES`. COCO's ids are others, and no check can find that of a truck, 7,
-    which is that of traffic signs here; `from_coco` maps them.
+    `class_id`: (N,) int64, index into `ROAD_CLASSES`. COCO's ids differ: its id of a truck, 7, is a traffic sign here,
+    which no check can detect. `from_coco` converts them.
 
     Raises ValueError: lengths differ, or a box, score or class id is not as described.
     """

@@ -28,7 +28,8 @@ def checked_detections(detector: ObjectDetector, image: Image, frame_index: int)
     """The detections of a detector of another package in the image of a frame.
 
     Raises:
-        DetectorError: it does not return `Detections`, or raises a ValueError, as `Detections` does for invalid values.
+        DetectorError: the detector does not return `Detections`, or raises ValueError, as `Detections` does for invalid
+        values.
     """
     where = f"{type(detector).__module__}:{type(detector).__qualname__}, frame {frame_index}"
     try:
@@ -41,7 +42,7 @@ def checked_detections(detector: ObjectDetector, image: Image, frame_index: int)
 
 
 def without_confused(detections: Detections, max_iou: float = MAX_IOU) -> Detections:
-    """The detections without those that overlap one with a higher score of another class of the same group.
+    """The detections without boxes that overlap a higher-scoring box of another class in the same group.
 
     Groups are of classes that detectors confuse: a car and a truck on one vehicle are one object.
     Boxes of one class do not suppress each other: their source decides which of them are one object.

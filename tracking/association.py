@@ -4,7 +4,7 @@
     minimise  sum of c_ij over the pairs (i, j) + max_cost * number of unmatched tracks,  with c_ij <= max_cost
 
 Most tracks and detections of a frame have only one possible partner: these pairs are matched directly, and only the
-others form a linear assignment problem (scipy's solver: Crouse's variant of the Jonker-Volgenant algorithm).
+remaining ones form a linear assignment problem (scipy's solver: Crouse's variant of the Jonker-Volgenant algorithm).
 """
 
 from typing import Literal
@@ -65,7 +65,7 @@ class Assignment:
     def match_unambiguous(self, cost: FloatArray, tracks: BoolArray, max_cost: FloatArray) -> None:
         """Match tracks within the mask (N,) and detections that are each other's only candidates, by 1 - IoU (N, M).
 
-        `max_cost` (M,) is the largest one of each detection. Later stages would match them too, but more slowly: this
+        `max_cost` (M,) is the largest cost of each detection. Later stages would match them too, but more slowly: this
         stage finds most pairs of a frame.
         """
         i, j = (cost <= _UNRELATED_COST).nonzero()

@@ -50,7 +50,7 @@ class CameraMotionSettings:
 
 
 class CameraMotion:
-    """Estimates the background motion between frames of one stream; others may use the same `flow`, None = its own."""
+    """Estimator of the background motion between frames of one stream; `flow` may be shared, None = a new one."""
 
     def __init__(self, settings: CameraMotionSettings | None = None, *, flow: BackgroundFlow | None = None) -> None:
         self._settings = settings or CameraMotionSettings()

@@ -12,8 +12,9 @@ the next frame, shows how reliable a score is, without ground truth (on RRC's KI
     MOT15         true                           27       28       39       46     (84-96)
                   persist                        53       66       76       85       98
 
-The threshold is the score at which the persistence reaches a fraction of that of the better half of all boxes: 0.3 for
-the cars, 0.7 for the persons, 0.8 for MOT15. A prior holds it at the initial threshold until boxes have been counted.
+The threshold is the score at which the persistence reaches a fraction of the persistence of the better half of all
+boxes: 0.3 for the cars, 0.7 for the persons, 0.8 for MOT15. A prior holds it at the initial threshold until boxes have
+been counted.
 """
 
 import math
@@ -110,7 +111,7 @@ class ConfidenceThreshold:
                 self._by_group[group] = self._threshold(n_compared[group].tolist(), n_persisted[group].tolist())
 
     def _count(self) -> None:
-        """Count the boxes of the waiting frames, and those that persist: that overlap a box of the next frame."""
+        """Count the boxes of the waiting frames, and the boxes that persist, which overlap a box of the next frame."""
         before, now = zip(*self._waiting, strict=True)
         self._waiting, self._n_waiting_pairs = [], 0
         boxes, score, class_id = zip(*before, strict=True)
@@ -126,7 +127,7 @@ class ConfidenceThreshold:
     def _threshold(self, n_compared: Sequence[float], n_persisted: Sequence[float]) -> float:
         """Score at which the persistence reaches its fraction, interpolated between the middles of two bins.
 
-        The arguments are the numbers of boxes per bin of scores, and of those that overlap a box of the next frame.
+        The arguments are the numbers of boxes per bin of scores, and of boxes that overlap a box of the next frame.
         """
         settings, n_prior = self._settings, self._settings.prior_boxes
         n_best, n_best_persisted, n_half = 0.0, 0.0, sum(n_compared) / 2
@@ -150,12 +151,12 @@ class ConfidenceThreshold:
 
 
 def _is_compared(frame: int) -> bool:
-    """Whether the boxes of the frame with this number are compared with those of the frame before."""
+    """Whether the boxes of the frame with this number are compared with the boxes of the frame before."""
     return frame <= _N_EVERY_FRAME or frame % _SAMPLING_STEP == 0
 
 
 def _padded(boxes_px: Sequence[FloatArray]) -> FloatArray:
-    """(4, K, N) edges of the boxes (n, 4) of K frames, with NaN after those of a frame with fewer than N."""
+    """(4, K, N) edges of the boxes (n, 4) of K frames, padded with NaN in frames with fewer than N boxes."""
     padded = np.full((4, len(boxes_px), max(map(len, boxes_px))), np.nan)
     for k, boxes in enumerate(boxes_px):
         padded[:, k, : len(boxes)] = boxes.T

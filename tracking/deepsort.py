@@ -183,7 +183,7 @@ class DeepSortTracker:
         return detections, max_cosine_distance if chosen_distance is None else chosen_distance
 
     def _predict(self, detections: Detections, time_s: float, image: Image | None) -> None:
-        """Stage 1: compensate camera motion, delete dead tracks, and predict the others to `time_s`."""
+        """Stage 1: compensate camera motion, delete dead tracks, and predict the remaining tracks to `time_s`."""
         settings, table = self._settings, self._table
         if self._camera_motion is not None and image is not None:
             table.compensate_camera_motion(self._camera_motion.update(image, detections.xyxy_px, time_s))
@@ -281,7 +281,7 @@ class DeepSortTracker:
             table.is_confirmed[-len(unmatched) :] = True
 
     def _output(self, time_s: float, image: Image | None) -> Tracks:
-        """Stage 5: confirmed tracks by id, with the detected box, or the predicted one where it is reliable."""
+        """Stage 5: confirmed tracks by id, with the detected box, or a reliable predicted box."""
         settings, table = self._settings, self._table
         is_detected = table.history.last_s == time_s
         detected = (table.is_confirmed & is_detected).nonzero()[0]

@@ -6,7 +6,7 @@ after two frames in a row by
     l(t) = l(t-1) + (l(t-1) - l(t-2))               "step-of-medians", which lags by half the buffer
 
 (Guo Pengyu, binocular detection, tracking and ranging of vehicles, eq. 1-2). The default here uses real times and the
-median of the last k steps, which is as robust to one bad box but does not lag:
+median of the last k steps, which is equally robust to one bad box but does not lag:
 
     l(t) = l(t') + (t - t') median_i((l_i - l_(i-1)) / (t_i - t_(i-1)))      t': time of the last detection
 
@@ -89,7 +89,7 @@ class BoxHistory:
         return BoxHistory(self.boxes.take(rows, axis=0), self.hit_streak.take(rows))
 
     def concatenate(self, other: BoxHistory) -> BoxHistory:
-        """The tracks of both, `other`'s last; both have the same number of slots."""
+        """The tracks of both histories, `other`'s last; both have the same number of slots."""
         return BoxHistory(
             np.concatenate([self.boxes, other.boxes]), np.concatenate([self.hit_streak, other.hit_streak])
         )

@@ -13,9 +13,9 @@ noise is equal for all four, so they share one covariance P and one gain K. s is
 near objects move more pixels (nwojke/deep_sort's scaling). d and a are densities of continuous noise, so that 10 Hz and
 30 Hz behave alike. q is the process-noise scale of the stream, estimated online from the innovations:
 
-A Kalman filter with the right noise has white innovations: those of one frame are uncorrelated with those of the next
-(Mehra, 1970). If they correlate positively, the filter lags and its process noise is too small; if negatively, it
-follows the detector's jitter. So the process-noise scale q follows the mean correlation c of successive innovations,
+A Kalman filter with the right noise has white innovations: they are uncorrelated between successive frames (Mehra,
+1970). If they correlate positively, the filter lags and its process noise is too small; if negatively, it follows the
+detector's jitter. So the process-noise scale q follows the mean correlation c of successive innovations,
 
     c = mean over the tracks of a . b / ((|a|^2 + |b|^2) / 2)      a, b: innovations of two successive frames
     q <- q exp(rate n c)                                           n tracks, at most ten; q in [lowest, highest]
@@ -106,7 +106,7 @@ class BoxFilters:
         self.height_px[rows] = filters.height_px
 
     def concatenate(self, other: BoxFilters) -> BoxFilters:
-        """The filters of both, `other`'s last."""
+        """The filters of both states, `other`'s last."""
         columns = ([getattr(self, name), getattr(other, name)] for name in self.__slots__)
         return BoxFilters(*map(np.concatenate, columns))
 

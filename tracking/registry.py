@@ -1,4 +1,4 @@
-"""Trackers by name: the built-in ones, those of installed packages, and any class as `package.module:Class`.
+"""Trackers by name: built-in trackers, trackers of installed packages, and any class as `package.module:Class`.
 
 A tracker needs one file, with a class that has `update` (`track_range.tracking.registry.ObjectTracker`) and takes
 `TrackerOptions`, and one registration: a line in `TRACKERS`, an entry point of the group `track_range.trackers` in

@@ -57,7 +57,8 @@ _BYTES_PER_VALUE = 4
 def read_convolutions(path: Path, network: Network) -> Iterator[tuple[FloatArray32, FloatArray32]]:
     """Weights (F, C / groups, k, k) and bias (F,) of each convolution of `network`, including its batch norm.
 
-    ModelError if the file cannot be read, has another number of values than the network, or values that are not finite.
+    ModelError if the file cannot be read, does not have the network's number of values, or has values that are not
+    finite.
     """
     values = _values(path, network.n_values)
     for index, layer in enumerate(network.layers):
@@ -212,7 +213,7 @@ class _Graph:
         return name
 
     def add_layer(self, index: int) -> None:
-        """Add one layer; dropout and [yolo] pass their input through, and so do routes of one source."""
+        """Add one layer; dropout, [yolo] and routes of one source pass their input through."""
         layer, name = self._layers[index], self._names.get(index, f"layer_{index}")
         operation, inputs = layer.operation, [self._tensors[source] for source in layer.sources]
         self._tensors[index] = name

@@ -87,7 +87,7 @@ class Upsample:
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """Concatenation of the sources; of each, part `group_id` of `groups` equal parts of its channels."""
+    """Concatenation of part `group_id` of the channels of each source, which are divided into `groups` equal parts."""
 
     groups: int
     group_id: int

@@ -5,8 +5,8 @@
     mean  = g m,   g = c^2 / (c^2 + s^2)            d: deviation of a drive from the mean over drives
     sigma = sqrt(g s^2 + d^2)                       c^2 + d^2: variance of an unknown detector
 
-Blocks, since an object is in many images of a video. No set of images shows d: it is that of the detectors with which
-`UNKNOWN_DETECTOR` was measured.
+Blocks are used because an object is in many images of a video. No set of images shows d; its value was measured with
+the detectors of `UNKNOWN_DETECTOR`.
 """
 
 from collections.abc import Mapping
@@ -39,7 +39,7 @@ class BoxErrorSamples:
     _rows: list[FloatArray] = field(default_factory=list)  # (K, 4) image, class, errors of log height and log width
 
     def add(self, image_hw: tuple[int, int], detections: Detections, truth: ImageTruth) -> None:
-        """Add the matches of one image: labels that are whole, uncovered and high enough, with boxes of their class."""
+        """Add the matches of one image: complete, unoccluded and high labels, with boxes of their class."""
         (height_px, width_px), labels, boxes = image_hw, truth.xyxy_px, detections.xyxy_px
         covered_px2 = intersection_px2(labels, labels) * (labels[:, 3] > labels[:, 3:])
         is_used = ~truth.is_ignored & (labels[:, 3] - labels[:, 1] >= MIN_HEIGHT_PX)

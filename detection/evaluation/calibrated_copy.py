@@ -1,8 +1,8 @@
 """Copies of ONNX detectors with calibrated scores: s' = sigma(a_c logit(s) + b_c) for each class c.
 
 Where the network computes its scores as s = sigma(x), the copy computes sigma(a_c x + b_c), which costs two operations
-per score; where something else follows the sigmoid, it computes the logit of the outputs. A calibrated copy can be
-calibrated again.
+per score. Where another operation follows the sigmoid, the copy computes the logit of the outputs. A calibrated copy
+can be calibrated again.
 """
 
 import itertools
@@ -35,7 +35,7 @@ def score_outputs(detector: YoloDetector) -> tuple[int, ...]:
 
 
 def check_attributes(model: Path, out: Path) -> bytes | None:
-    """The attributes beside the model, `MODEL.yaml`, or None; OutputError if the copy at `out` has others already."""
+    """The attributes beside the model, `MODEL.yaml`, or None; OutputError if the copy at `out` has different ones."""
     source, target = model.with_suffix(".yaml"), out.with_suffix(".yaml")
     content = source.read_bytes() if source.is_file() else None
     if target.is_file() and target.read_bytes() != content:

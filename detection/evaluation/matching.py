@@ -4,9 +4,8 @@ In each image and class, detections are matched greedily in order of decreasing 
 the largest IoU; labels to ignore are matched only if no other label is left. A detection matched with such a label is
 neither a true nor a false positive.
 
-In a bin of sizes, labels outside of the bin are labels to ignore, and unmatched detections outside of it are neither
-true nor false positives.
-(Lin et al., "Microsoft COCO", ECCV 2014; cocodataset.org/#detection-eval.)
+In a bin of sizes, labels outside of the bin are ignored, and unmatched detections outside of the bin are neither true
+nor false positives. (Lin et al., "Microsoft COCO", ECCV 2014; cocodataset.org/#detection-eval.)
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
 """Average precision and recall by size of object: COCO's three bins of area, and four bins of height.
 
-As in pycocotools, labels outside of a bin are labels to ignore, and unmatched detections outside of it count neither as
-true nor as false positives. The area is that of the box (COCO's own labels have the area of the object's outline) in
-square pixels of the image, before it is scaled to the network's input. An object at the limit of two bins is in the
+As in pycocotools, labels outside of a bin are ignored, and unmatched detections outside of the bin count neither as
+true nor as false positives. The area is the area of the box (COCO's own labels have the area of the object's outline)
+in square pixels of the image, before it is scaled to the network's input. An object at the limit of two bins is in the
 upper one; pycocotools counts it in both.
 
-Heights, since a distance by size follows from the height in pixels: at a focal length of 1000 px, a car of 1.5 m is
-25 px high at 60 m, 50 px at 30 m and 100 px at 15 m.
+Heights are used because a distance by size follows from the height in pixels: at a focal length of 1000 px, a car of
+1.5 m is 25 px high at 60 m, 50 px at 30 m and 100 px at 15 m.
 """
 
 from collections.abc import Mapping, Sequence

@@ -85,7 +85,7 @@ class Reliability:
 
     @property
     def ece_if_calibrated(self) -> float:
-        """ECE that is expected by chance of calibrated scores in the same number; NaN without detections."""
+        """ECE expected by chance for the same number of calibrated scores; NaN without detections."""
         with np.errstate(invalid="ignore"):
             return self._weighted_mean(np.sqrt(2.0 / np.pi * self.variance) / self.n)
 

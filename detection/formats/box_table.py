@@ -40,7 +40,7 @@ class VideoFacts:
         return "rectified" if self.is_rectified else "original"
 
     def completed_by(self, stated: VideoFacts, path: Path) -> VideoFacts:
-        """These facts where known, else those that a file states; LabelFileError if its images have another size."""
+        """These facts, completed by the facts that a file states; LabelFileError if its images have another size."""
         if stated.size_px is not None and self.size_px not in (None, stated.size_px):
             video_size, file_size = ("x".join(map(str, size or ())) for size in (self.size_px, stated.size_px))
             raise LabelFileError(
@@ -122,7 +122,7 @@ class BoxTable:
         video: VideoFacts = NO_FACTS,
         notes: Sequence[str] = (),
     ) -> BoxTable:
-        """A table of arrays or lists with rows in any order, or of one value for all rows.
+        """A table from arrays or lists with rows in any order, or from one value for all rows.
 
         Rows of `is_region` (N,) are regions that are not evaluated: they have neither a road class nor an identity.
         """
@@ -153,7 +153,7 @@ class BoxTable:
 
     @property
     def all_labels(self) -> list[str]:
-        """Names of the classes in written files, in the order of their numbers: the road classes, then others."""
+        """Names of the classes in written files, in the order of their numbers: the road classes, then other names."""
         return list(dict.fromkeys((*ROAD_CLASSES, *sorted(set(self.label)))))
 
     @property

@@ -2,7 +2,7 @@
 
 The format is recognised from the content: KITTI, rows of numbers (`video_labels.mot`: MOTChallenge's det.txt, plain
 `frame,x1,y1,x2,y2,score` (RRC) and others), track-range's tracks.csv, or one of `label_formats`. A feat.npy next to a
-MOTChallenge file has the same rows with an embedding appended to each (the format of nwojke/deep_sort).
+MOTChallenge file has the same rows, each with an appended embedding (the format of nwojke/deep_sort).
 """
 
 import os
@@ -37,7 +37,7 @@ DetectionFormat = Literal["mot", "kitti", "rrc", "tracks", "labels"]  # rrc: pla
 
 
 class _Rows(NamedTuple):
-    """All N rows of a file, also those without a valid frame number, box, score or road class."""
+    """All N rows of a file, including rows without a valid frame number, box, score or road class."""
 
     form: DetectionFormat
     description: str
@@ -79,9 +79,8 @@ def read_detections(
     """The detections in a file, or in a folder with a file for each image; an empty file has no boxes.
 
     `default_class_id` is the class of boxes in formats without classes (MOTChallenge and plain rows), `form` the
-    expected format (None = any), `video` what is known of it: the size of the images, which YOLO labels need, and their
-    number. Raises LabelFileError if the file cannot be read, its format is unknown or not `form`, or most rows are
-    invalid.
+    expected format (None = any), and `video` has the known number of images and their size, which YOLO labels need.
+    Raises LabelFileError if the file cannot be read, its format is unknown or not `form`, or most rows are invalid.
     """
     if is_blank(path, "detections") and not _text(path).strip():
         notes = [f"Read {path.name} as an empty file: 0 boxes.", f"{path.name} is empty: there are no boxes."]
@@ -155,7 +154,7 @@ def _tracks_csv_rows(path: Path) -> _Rows:
 
 
 def _number_rows(path: Path, default_class_id: int, video: VideoFacts, form: DetectionFormat | None) -> _Rows:
-    """Rows of numbers; those without a class get the default one."""
+    """Rows of numbers; rows without a class get the default class."""
     table = read_number_rows(path, LabelFileError, "detections")
     if not table.lines:
         raise LabelFileError(f"{path}: expected detections, got only comments.")
@@ -197,7 +196,7 @@ def _descriptors(path: Path, table: FloatArray, n_columns: int) -> Descriptors |
 
 
 def _as_probability(score: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
-    """Scores in [0, 1], and a note if they were per cent, or the sigmoid was applied since some were not in [0, 1]."""
+    """Scores in [0, 1], and a note if they were converted from per cent or with the sigmoid."""
     known = score[np.isfinite(score)]
     if not len(known) or (known.min() >= 0 and known.max() <= 1):
         return score, ()

@@ -106,7 +106,7 @@ def read_labels(path: Path, video: VideoFacts = NO_FACTS, *, expected: str = "la
 
 
 def is_label_folder(path: Path) -> bool:
-    """Whether a folder has one file of labels for each image, so that it is one sequence; not KITTI's object files."""
+    """Whether a folder is one sequence with one label file for each image; False for KITTI's object files."""
     return os.path.isdir(path) and label_format_of(path).name != "kitti"
 
 

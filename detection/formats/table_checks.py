@@ -30,7 +30,7 @@ def check_identities(table: BoxTable, path: Path) -> None:
 
 
 def image_stem(name: str) -> str:
-    """The name of an image without folder and suffix, and without what Roboflow appends: _jpg.rf. and a hash."""
+    """The name of an image without folder, suffix, and Roboflow's appended `_jpg.rf.` with a hash."""
     stem = re.split(r"[/\\\\]", name)[-1]
     stem = re.sub(r"(_(jpe?g|png|bmp|webp))?\.rf\.\w+", "", stem)
     return re.sub(r"(\.(jpe?g|png|bmp|webp|tiff?|pgm|ppm|json|xml|txt))+$", "", stem, flags=re.IGNORECASE)
@@ -47,7 +47,7 @@ def frame_in_name(name: str) -> int | None:
 def frames_of_names(names: Sequence[str], path: Path) -> tuple[list[int], str]:
     """Frame number of each name of an image, and what states it: the number that differs, or the order of times.
 
-    LabelFileError unless the names differ only in one number, as those of the frames of one video.
+    LabelFileError unless the names differ only in one number, as the frames of one video do.
     """
     stems = [image_stem(name) for name in names]
     fields = [re.findall(r"\d+", stem) for stem in stems]
@@ -81,23 +81,24 @@ def check_names(names: Iterable[str], path: Path) -> None:
 
 
 def first_frame_number(frame: FloatArray | IntArray, usual: int, n_frames: int | None = None) -> int:
-    """Number that a file gives to the first frame of its video, 0 or 1, from its (N,) numbers and the images' number.
+    """Number of a video's first frame in a file, 0 or 1, from the file's (N,) frame numbers and the number of images.
 
-    A file with a frame 0 starts there; one that ends with the number of images starts at 1; else as is usual.
+    A file with a frame 0 starts at 0. A file whose last number is the number of images starts at 1. Else `usual`
+    applies.
     """
     low, high = (float(frame.min()), float(frame.max())) if len(frame) else (usual, usual)
     return 0 if low == 0 else 1 if low > 0 and high == n_frames else usual
 
 
 def is_unpadded(names: Iterable[str]) -> bool:
-    """Whether the last numbers in names have no zeros in front and fewer digits where they are small, as NAME_1."""
+    """Whether the last numbers in names have no leading zeros, as in NAME_1."""
     digits = [match[1] for name in names if (match := _LAST_NUMBER.search(name))]
     is_plain = all(text == "0" or not text.startswith("0") for text in digits)
     return is_plain and (len(set(map(len, digits))) > 1 or any(len(text) == 1 for text in digits))
 
 
 def first_frame_note(path: Path, first: int, n_frames: int) -> tuple[str, ...]:
-    """A note if the `n_frames` that a file lists start at 1, since the first frame of a video is 0."""
+    """A note if the frame numbers of a file start at 1, since the first frame of a video is 0."""
     if first != 1 or n_frames < 2:
         return ()
     return (

@@ -5,12 +5,13 @@ In each image, two of the proposed straight lines are chosen, by the score
     score(l, r) = support(l) + support(r) - cost * (sum of squared deviations in sigmas from a typical lane)
                                           - cost * (squared distance in sigmas from the tracked lane)
 
-with the deviations of lane width / camera height, horizon, vanishing point and lateral camera position, and fitted with
-the prediction as the prior. The fit updates the state; if several images in a row contradict the state, it is reset.
-Lines that have not been seen for a while are not reported.
+with the deviations of lane width / camera height, horizon, vanishing point and lateral camera position. The lane is
+then fitted with the prediction as the prior. The fit updates the state; if several images in a row contradict the
+state, it is reset. Lines that have not been seen for a while are not reported.
 
-The height of the camera is constant, and lanes differ in width by some 10 %, so the ratio of both is learnt. Where a
-line of the lane is hidden, that of the neighbouring lane is then not taken for it: the lane would be twice as wide.
+The height of the camera is constant, and lanes differ in width by some 10 %, so the ratio of both is learnt. Then,
+where a line of the lane is hidden, the line of the neighbouring lane is not mistaken for it, since the lane would be
+twice as wide.
 
 Robust least-squares fit of a lane to the pixels of its two lines, with a prior and Tukey's biweight.
 
@@ -189,7 +190,7 @@ class EgoLane:
 
 
 def _is_lane(fit: LaneFit) -> bool:
-    """Whether the lane is plausible: its width, the clutter, and lines that do not cross where they are seen."""
+    """Whether the lane has a plausible width and little clutter, and its lines do not cross where they are seen."""
     opening = fit.state.mean[3] / fit.state.image_hw[0]
     if not _WIDTH_SLOPE_LIMITS[0] < opening < _WIDTH_SLOPE_LIMITS[1]:
         return False

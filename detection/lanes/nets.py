@@ -50,7 +50,7 @@ _MAX_RUN = 0.08  # largest width of a run of line pixels, of the mask's width; s
 def mask_points(scores: FloatArray32, input_hw: tuple[int, int] | None = None) -> Points:
     """Centres of the runs of line pixels in every second row of scores (channels, h, w), in pixels of the input.
 
-    `input_hw` is the size of the network's input, by default that of the mask.
+    `input_hw` is the size of the network's input, by default the size of the mask.
     """
     is_probability = len(scores) == 1 and scores.min() >= 0.0 and scores.max() <= 1.0  # else logits
     on_line = scores[1] > scores[0] if len(scores) == 2 else scores[0] > (0.5 if is_probability else 0.0)
@@ -98,7 +98,7 @@ def row_anchor_points(scores: FloatArray32, input_hw: tuple[int, int]) -> Points
 
 
 def is_row_anchor_shape(shape: tuple[int, ...]) -> bool:
-    """Whether an output of this shape is that of a row-anchor head."""
+    """Whether an output of this shape belongs to a row-anchor head."""
     return len(shape) == 4 and shape[1] > 2 and shape[2] in ROW_ANCHORS and shape[3] == ROW_ANCHOR_LINES
 
 

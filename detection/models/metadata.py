@@ -69,7 +69,7 @@ class ModelMetadata:
 
 
 def read_metadata(path: Path, metadata: Mapping[str, str], options: ModelOptions) -> ModelMetadata:
-    """Attributes of the model at `path`, from options, metadata, else `MODEL.yaml`; ModelError: an invalid value."""
+    """Attributes of the model at `path`, from options, metadata or `MODEL.yaml`; ModelError for an invalid value."""
     option_values = {key: getattr(options, key) for key in ModelOptions.__dataclass_fields__}
     is_rt_detr = "rtdetr" in metadata.get("description", "").lower().replace("-", "")  # as "Ultralytics rtdetr-l model"
     head = {"head": RT_DETR_DESCRIPTION} if is_rt_detr else {}

@@ -48,7 +48,7 @@ class OnnxSession:
     """A network with one image input, ready to run; ModelError if the file is no such network.
 
     Its images are (batch, 3, height, width) for all networks: they are transposed for an input whose channels are last,
-    reduced to the first channel for one of a single channel, and rounded for one of uint8.
+    reduced to the first channel for an input of a single channel, and rounded for an input of uint8.
 
     DETR-like networks may have the input `orig_target_sizes` as well; it is the size of the image input, so that boxes
     are in pixels of that input. `input_shape` has None for dimensions of variable size; `device` is the one in use.

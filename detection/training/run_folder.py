@@ -62,8 +62,8 @@ def load_mean(paths: Sequence[Path]) -> dict[str, Any]:
     """The content of the first checkpoint, with the mean of the averaged weights of all.
 
     The mean of checkpoints of one run, or of runs that started from the same weights, is often better than each of
-    them (Izmailov et al., "Averaging Weights Leads to Wider Optima and Better Generalization", UAI 2018); that of runs
-    from different random weights is useless. CheckpointError: the checkpoints are those of different networks.
+    them (Izmailov et al., "Averaging Weights Leads to Wider Optima and Better Generalization", UAI 2018); the mean of
+    runs from different random weights is useless. CheckpointError: the checkpoints belong to different networks.
     """
     first, *others = contents = [load_checkpoint(path) for path in paths]
     before = _network_of(first)
@@ -109,7 +109,7 @@ _IS_VALID: Mapping[str, Callable[[object], bool]] = {  # check of the structure 
 
 
 def check_same_run(path: Path, saved: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
-    """Raise CheckpointError, with the first option that differs, if a checkpoint is that of another run."""
+    """Raise CheckpointError, with the first option that differs, if a checkpoint belongs to another run."""
     for key, value in expected.items():
         before = saved.get(key, _DEFAULT.get(key))
         if value != before:

@@ -22,7 +22,7 @@ class ScheduleSettings:
 
     The defaults are for short runs on a CPU: in 5 epochs of 1,500 images, AdamW reached losses for which YOLOv5's
     recipe for COCO (SGD, rate 0.01, decay 0.0005, hyp.scratch-low.yaml) needed two more epochs. During the warm-up, the
-    rate rises linearly from 0 (with SGD, that of the biases falls from ten times `learning_rate`).
+    rate rises linearly from 0 (with SGD, the rate of the biases falls from ten times `learning_rate`).
     """
 
     optimiser: Optimiser = "adamw"  # SGD with Nesterov momentum, or AdamW

@@ -1,8 +1,9 @@
 """Teacher: a trained YOLOv5 from which a network learns besides the labels (knowledge distillation).
 
-A network with YOLOv5's heads (strides 8, 16, 32 with three anchors per cell) learns from its outputs: objectness, class
-scores and boxes are the targets where images are not completely labelled. Where labels are complete, they determine
-which of its cells are positive. RoadNet, which has other heads, learns from its features (`losses.feature_loss`).
+A network with YOLOv5's heads (strides 8, 16, 32 with three anchors per cell) learns from the teacher's outputs:
+objectness, class scores and boxes are the targets where images are not completely labelled. Where labels are complete,
+they determine which of the network's cells are positive. RoadNet, which has other heads, learns from the teacher's
+features (`losses.feature_loss`).
 
 (Hinton et al., "Distilling the Knowledge in a Neural Network", 2015;
 Mehta & Ozturk, "Object Detection at 200 Frames Per Second", ECCV 2018 workshops, for distillation scaled by
@@ -109,7 +110,7 @@ class Teacher:
     def __init__(
         self, path: Path, road_class_id: IntArray, *, device: str, precision: torch.dtype = torch.float32
     ) -> None:
-        """`road_class_id` (C,) is the road class of each class of the student, `precision` that of the arithmetic."""
+        """`road_class_id` (C,) is the road class of each class of the student; `precision` is for the arithmetic."""
         network = yolov5_of_export(path)
         metadata = OnnxSession(path).metadata
         names = read_metadata(path, metadata, ModelOptions()).get("names", COCO_CLASSES, "default").value

@@ -113,7 +113,7 @@ class Training:
         """Initialise the weights with the averaged weights of another run's checkpoint, or with the mean of several.
 
         If that run trained another network with the same backbone and neck (YOLOv5n and RoadNet), only these are used.
-        The convolutions of the feature loss are those of the first checkpoint, if it had the same teacher.
+        The convolutions of the feature loss are taken from the first checkpoint, if it had the same teacher.
         CheckpointError: the checkpoint does not exist, is damaged, or has another network.
         """
         content = run_folder.load_mean([first, *others])
@@ -130,7 +130,7 @@ class Training:
                 self._feature_loss.load_state_dict({name: saved[name] for name in own})
 
     def load_best(self) -> None:
-        """Set `average` to that of the best epoch, if there was a validation."""
+        """Set `average` to the average of the best epoch, if there was a validation."""
         if (self._out / run_folder.BEST).is_file():
             self._set_weights(
                 self.average.network,
@@ -304,7 +304,7 @@ class Training:
 
 
 def _same_shapes(own: Mapping[str, Tensor], saved: Mapping[str, Tensor]) -> bool:
-    """Whether there are weights, and a checkpoint has them all with the same shapes."""
+    """Whether there are weights, and a checkpoint has all of them with the same shapes."""
     return bool(own) and all(name in saved and saved[name].shape == value.shape for name, value in own.items())
 
 

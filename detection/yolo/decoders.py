@@ -46,7 +46,7 @@ class Candidates:
         """The boxes (N, 4) whose `score` (N,) reaches the `min_score` (C,) of the class `label` (N,).
 
         Scores above 1 and labels that are not whole numbers from 0 to C - 1 are invalid, like numbers that are not
-        finite: the outputs are of another network, or the class names are too few.
+        finite: the outputs belong to another network, or there are too few class names.
         """
         is_label = (label >= 0) & (label < len(min_score)) & (label == np.floor(label))
         is_valid = is_label & (score <= 1 + _ROUNDING) & np.isfinite(xyxy_net).all(axis=1)
@@ -211,7 +211,7 @@ def cell_offsets(cells: GridCells) -> BoxCode:
 
 
 def distances(centre_px: FloatArray) -> BoxCode:
-    """Distances in pixels from a point (N, 2) of each cell to left, top, right, bottom, as of RTMDet."""
+    """Distances in pixels from a point (N, 2) of each cell to left, top, right, bottom, as in RTMDet."""
 
     def code(numbers: FloatArray, rows: IntArray) -> FloatArray:
         point = centre_px[rows]

@@ -1,8 +1,8 @@
 """Layouts of networks that return boxes for the cells of grids and leave the suppression to the caller.
 
-`_READINGS` lists what their numbers may mean, the tables after it the shapes of the outputs (docs/how-to/detectors.md
-shows both). Sources: the heads of the projects that the readings are named after. The centre of NanoDet's, PicoDet's
-and YOLOv8's cells is (i + 1/2) stride, NanoDet-Plus's and RTMDet's i stride.
+`_READINGS` lists what their numbers may mean; the tables after it list the shapes of the outputs
+(docs/how-to/detectors.md shows both). Sources: the heads of the projects that the readings are named after. The centre
+of NanoDet's, PicoDet's and YOLOv8's cells is (i + 1/2) stride, NanoDet-Plus's and RTMDet's i stride.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -244,7 +244,7 @@ def levels_apart(network: NetworkOutputs) -> Iterator[YoloModel]:
 def _parts_of(
     network: NetworkOutputs, outputs: Sequence[int], kind: _Kind, *, is_apart: bool
 ) -> tuple[Part, Part, Part | None] | None:
-    """Boxes, scores and objectness of one stride; None if these outputs do not have them."""
+    """Boxes, scores and objectness of one stride; None if the outputs lack one of these."""
     is_planes = all(len(network.shapes[i]) == 4 for i in outputs)
     width = {i: network.shapes[i][1 if is_planes else 2] for i in outputs}
     part = partial(Part, n_anchors=int(is_planes))
@@ -382,7 +382,7 @@ def fastest_heads(network: NetworkOutputs) -> Iterator[YoloModel]:
 
 
 def _n_classes(network: NetworkOutputs, n_columns: int) -> tuple[int, str]:
-    """Number of classes among the columns after the box, and a note on the others: masks' coefficients or keypoints."""
+    """Number of classes among the columns after the box, and a note on coefficients of masks or keypoints."""
     if any(len(shape) == 4 and shape[:2] == (1, N_MASKS) for shape in network.shapes) and n_columns > N_MASKS:
         return n_columns - N_MASKS, MASKS_NOTE
     n_keypoints = network.n_keypoints or (n_columns - 1 if network.n_names == 1 and n_columns % 3 == 1 else 0)

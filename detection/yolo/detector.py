@@ -1,10 +1,10 @@
 """YoloDetector: detection of road users with any network whose output layout is in `detection.yolo.layouts`.
 
-The networks are YOLO and others: DETR-like ones, NanoDet and PicoDet.
+The networks are YOLO, DETR-like networks, NanoDet and PicoDet.
 
 `detect` consists of three steps that reuse their buffers: `fill` resizes the image into the network's input, `infer`
-runs the network, `decode` turns the outputs into detections. `prepared` does the first step only, in buffers of its
-own, so that another thread can do the others meanwhile for the image before.
+runs the network, `decode` turns the outputs into detections. `prepared` does only the first step, in separate buffers,
+so that another thread can meanwhile do the other steps for the previous image.
 
     one thread      prepared(k+1), prepared(k+2), ...
     another thread  function that prepared(k) returned; or detect; or fill, infer, decode; candidates, input_blob
@@ -100,10 +100,10 @@ class YoloDetector:
     """Detector of road users with a YOLO network; buffers are reused, so use one instance per video, in one thread.
 
     Only `prepared` may be called in another thread, one at a time. `size`: longer side in pixels of an input of
-    variable size, and the source of this value. `area`: number of pixels of an input of variable size, which `size`
-    does not determine then; None = it does. `n_invalid`: number of boxes dropped so far because of NaN, infinite
-    numbers or labels without a class name. Raises ModelError: the model cannot be read, its outputs have no known
-    layout, the number of class names differs from the number of classes, or none of its classes is to be detected.
+    variable size, and the source of this value. `area`: number of pixels of an input of variable size, used instead of
+    `size`; None = `size` is used. `n_invalid`: number of boxes dropped so far because of NaN, infinite numbers or
+    labels without a class name. Raises ModelError: the model cannot be read, its outputs have no known layout, the
+    number of class names differs from the number of classes, or the model has none of the classes to detect.
     """
 
     def __init__(
@@ -137,7 +137,7 @@ class YoloDetector:
         self._set_thresholds()
 
     def _set_thresholds(self) -> None:
-        """The road class and threshold of each class of the network; ModelError if none is to be detected."""
+        """The road class and threshold of each class of the network; ModelError if it has no class to detect."""
         names = self.model.names
         self._road_class: IntArray = map_to_road_classes(names)
         thresholds = np.append(self._settings.min_score_by_class(), _UNREACHABLE_SCORE)  # index -1: no road class
@@ -166,7 +166,7 @@ class YoloDetector:
 
     @property
     def readings(self) -> tuple[YoloModel, ...]:
-        """All meanings that the outputs may have by their shapes; `model` is the chosen or the usual one."""
+        """All meanings that the outputs may have by their shapes; `model` is the chosen or the usual reading."""
         return self._bound[self.input_hw][1]
 
     @property
@@ -210,7 +210,7 @@ class YoloDetector:
         return tuple(notes)
 
     def restart(self) -> None:
-        """Forget the images of a video, for the next one: counts of boxes, and the layout that they showed."""
+        """Forget the counts of boxes and the layout chosen from the first images, before the next video."""
         self.n_invalid, self._first_images = 0, FirstImages(self._session.path)
 
     def detect(self, image: Image) -> Detections:
@@ -232,7 +232,7 @@ class YoloDetector:
         return self._decoded(outputs, prepared, self._min_score)
 
     def candidates(self, min_score: FloatArray) -> Detections:
-        """The boxes in the image of the latest detection, and those with lower scores and of other classes.
+        """The boxes in the image of the latest detection, including boxes with lower scores and of other classes.
 
         `min_score` (8,) is by road class; classes that are not in the settings are detected too. ValueError if `detect`
         was not called before.
@@ -260,7 +260,7 @@ class YoloDetector:
         return source.network.run(blob)
 
     def decode(self, outputs: list[FloatArray32], min_score: FloatArray | None = None) -> Detections:
-        """The road users in the latest image of `fill`; `min_score` (C,) by class, else those of the settings."""
+        """The road users in the latest image of `fill`; `min_score` (C,) by class, else the scores of the settings."""
         return self._decoded(outputs, self._filled[0], self._min_score if min_score is None else min_score)
 
     def _decoded(self, outputs: list[FloatArray32], source: _Input, min_score: FloatArray) -> Detections:

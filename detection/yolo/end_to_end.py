@@ -68,7 +68,7 @@ def _numbers(outputs: Sequence[FloatArray32], place: Place) -> FloatArray:
 
 
 def _rows_of(output: int, box: int, score: int, label: int, code: decoders.BoxCode) -> LabelledBoxes:
-    """Boxes in rows of one output, with the first column of the box, and those of score and label."""
+    """Boxes in rows of one output, with the first column of the box, and the columns of score and label."""
     columns = (slice(box, box + 4), slice(score, score + 1), slice(label, label + 1))
     boxes, scores, labels = ((output, column) for column in columns)
     return LabelledBoxes(boxes, scores, labels, code)
@@ -139,8 +139,8 @@ def _square_model(family: str, name: str, layout: str, n_classes: int | None, de
 def labels_boxes_scores(network: NetworkOutputs) -> Iterator[YoloModel]:
     """Readings of labels [1, N], boxes [1, N, 4] and scores [1, N], in any order, or with scores in the boxes.
 
-    ModelError: nothing shows the unit of the boxes: the network lacks the input `orig_target_sizes`, and the number of
-    boxes of exporters that add a suppression.
+    ModelError: nothing shows the unit of the boxes, since the network has neither the input `orig_target_sizes` nor an
+    output with the number of boxes.
     """
     vectors = [i for i, shape in enumerate(network.shapes) if len(shape) == 2 and shape[0] == 1 and shape[1] != 1]
     counts = [i for i, shape in enumerate(network.shapes) if shape in ((1,), (1, 1))]
@@ -223,7 +223,7 @@ def logits_and_boxes(network: NetworkOutputs) -> Iterator[YoloModel]:
 
 
 def _logits_and_boxes(network: NetworkOutputs) -> tuple[int, int] | None:
-    """Indices of logits and boxes: the only outputs [1, N, K] and [1, N, 4], or those of the usual names; else None."""
+    """Indices of logits and boxes: the only outputs [1, N, K] and [1, N, 4], or by their usual names; else None."""
     outputs = [i for i, n_rows, _ in network.matrices() if n_rows <= _MAX_BOXES and not network.is_grid(n_rows)]
     boxes = [i for i in outputs if network.shapes[i][2] == 4]
     if len(boxes) > 1:

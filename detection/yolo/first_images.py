@@ -48,7 +48,7 @@ class _Tally:
 
 @dataclass(slots=True)
 class FirstImages:
-    """Decides between the readings of a network, and raises ModelError for one that gives garbage."""
+    """Choice between the readings of a network; raises ModelError for a reading that gives impossible boxes."""
 
     path: Path
     chosen: str = ""  # name of the reading, once it is decided
@@ -123,7 +123,7 @@ def _candidates(reading: YoloModel, outputs: Sequence[FloatArray32]) -> Candidat
 
 
 def _are_inside(xyxy_net: FloatArray, input_hw: tuple[int, int]) -> BoolArray:
-    """(N,) whether boxes are inside of the input, up to a border, and not too small."""
+    """(N,) whether boxes are inside of the input, within a margin, and not too small."""
     size = xyxy_net[:, 2:] - xyxy_net[:, :2]
     limit = np.array(input_hw[::-1], np.float64)
     is_inside = (xyxy_net[:, :2] >= -_BORDER * limit) & (xyxy_net[:, 2:] <= (1 + _BORDER) * limit)
@@ -131,7 +131,7 @@ def _are_inside(xyxy_net: FloatArray, input_hw: tuple[int, int]) -> BoolArray:
 
 
 def _quality(candidates: Candidates, input_hw: tuple[int, int]) -> FloatArray:
-    """(M,) quality from 0 to 1 of the boxes after suppression, and of the invalid ones."""
+    """(M,) quality from 0 to 1 of the boxes after suppression and of invalid boxes."""
     boxes, one_class = candidates.xyxy_net, np.zeros(len(candidates.score), np.int64)
     kept = nms(boxes, candidates.score, one_class, max_iou=0.5, max_boxes=_MAX_COMPARED)
     best, size = boxes[kept], boxes[kept, 2:] - boxes[kept, :2]

@@ -1,8 +1,8 @@
 """The table of output layouts, and the readings of a network's outputs: decoder, input format and class names.
 
-`dense_layouts` has the layouts of networks without suppression, `end_to_end` those of networks that return one box per
-object. Shapes, metadata and the number of class names determine which readings are possible; `first_images` chooses
-between them by the values. The family's other defaults can be overridden (`detection.models.metadata`).
+`dense_layouts` has the layouts of networks without suppression; `end_to_end` has the layouts of networks that return
+one box per object. Shapes, metadata and the number of class names determine which readings are possible; `first_images`
+chooses between them by the values. The family's other defaults can be overridden (`detection.models.metadata`).
 """
 
 from collections.abc import Callable, Iterator
@@ -43,9 +43,9 @@ outputs (none if the shapes do not fit), and the readings' names for `--layout`.
 
 
 def readings_of(network: NetworkOutputs) -> tuple[YoloModel, ...]:
-    """The possible meanings of these outputs, the usual one first: those of the first layout that fits.
+    """The possible meanings of these outputs in the first layout that fits, the usual meaning first.
 
-    ModelError: no layout fits, or the model's attributes do not.
+    ModelError: no layout fits, or the model's attributes do not fit.
     """
     requested = network.metadata.get("layout", None, "").value
     known = [name for _, _, names in DETECTOR_LAYOUTS for name in names.split()]

@@ -88,8 +88,8 @@ def rectangular_input_hw(image_hw: tuple[int, int], *, size_px: int, stride_px: 
 def input_hw_of_area(image_hw: tuple[int, int], *, area_px2: float, stride_px: int = 32) -> tuple[int, int]:
     """The input (height, width), multiples of `stride_px`, with the aspect ratio of an image and about a given area.
 
-    Images of every shape then take the same time, and wide ones, in which road users are small, keep more detail than
-    with a common longer side. The longer side is at most 2.5 times that of a square of the same area.
+    Images of every shape then take the same time, and wide images, in which road users are small, keep more detail than
+    with a common longer side. The longer side is at most 2.5 times the side of a square of the same area.
     """
     side_px = math.sqrt(area_px2)
     scale = min(side_px / math.sqrt(image_hw[0] * image_hw[1]), _MAX_LONGER_SIDE * side_px / max(image_hw))

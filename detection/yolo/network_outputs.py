@@ -59,12 +59,12 @@ class NetworkOutputs:
         return sum((height // stride) * (width // stride) for stride in strides_px)
 
     def grid_strides(self, n: int, per_cell: int = 1, *, is_rounded_up: bool = False) -> tuple[int, ...] | None:
-        """Strides of the grids that have so many boxes in all, with `per_cell` boxes for each cell; None without."""
+        """Strides of the grids that have so many boxes in total, `per_cell` boxes for each cell; None if none have."""
         counts = {self.n_cells(strides, is_rounded_up=is_rounded_up): strides for strides in STRIDES_PX[::-1]}
         return counts.get(n // per_cell) if n % per_cell == 0 else None
 
     def is_grid(self, n_rows: int) -> bool:
-        """Whether so many boxes are those of grids, with one or three for each cell."""
+        """Whether grids with one or three boxes for each cell have so many boxes."""
         return self.grid_strides(n_rows) is not None or self.grid_strides(n_rows, 3) is not None
 
     def matrices(self) -> Iterator[tuple[int, int, int]]:

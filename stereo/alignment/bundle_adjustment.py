@@ -5,10 +5,10 @@
     right image  x - f B r / q_z + offset + curvature u^2 + slope u     u: column, see `stereo.alignment.model`
 
 Motion alone gives depths up to a scale, disparity alone up to the error; with near and far points observed from several
-positions, the error is the intercept of one as a function of the other. Points fixed at their triangulated positions
-would bias it by their noise, so points are unknowns too. Solved by Levenberg-Marquardt, with the points eliminated by
-the Schur complement (Triggs et al. 2000, "Bundle adjustment: a modern synthesis", section 6), and Cauchy weights, which
-suppress moving objects and bad tracks.
+positions, the error is the intercept of the disparity as a function of the inverse depth from motion. Points fixed at
+their triangulated positions would bias it by their noise, so points are unknowns too. Solved by Levenberg-Marquardt,
+with the points eliminated by the Schur complement (Triggs et al. 2000, "Bundle adjustment: a modern synthesis", section
+6), and Cauchy weights, which suppress moving objects and bad tracks.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Bundle:
 
     @property
     def path_m(self) -> float:
-        """Distance between the first position of the left camera and the one farthest from it."""
+        """Distance between the first and the farthest position of the left camera."""
         positions = np.einsum("fji,fj->fi", self.rotation, self.translation_m)
         return float(np.linalg.norm(positions - positions[0], axis=1).max())
 

@@ -35,7 +35,7 @@ _MAX_AHEAD_S = 90.0  # longest time for which the drift is extrapolated beyond a
 
 
 class DriftingAlignment:
-    """The alignment of a run at each time, from the one of its start and later measurements of the offset.
+    """The alignment of a run at each time, from the alignment at its start and later measurements of the offset.
 
     It starts with the applied and the measured alignment, and the windows from which they were estimated.
     """

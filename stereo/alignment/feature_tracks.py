@@ -139,7 +139,7 @@ def row_offset_px(left: Image, right: Image) -> float | None:
 
 
 def _as_bright(image: Image, other: Image) -> Image:
-    """The image with the brightness of the other one, if that differs much: Lucas-Kanade compares grey levels."""
+    """The image with the brightness of the other image, if they differ much: Lucas-Kanade compares grey levels."""
     factor = float(other.std()) / max(float(image.std()), 1.0)
     if abs(math.log(max(factor, 1e-3))) < _MAX_LOG_GAIN:
         return image

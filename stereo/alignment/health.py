@@ -2,8 +2,8 @@
 
     Z_measured / Z = d / (d - e(u))          d = f B / Z: true disparity, e(u) = d_true - d_measured at the column u
 
-A wrong baseline, or a wrong focal length of both cameras, scales all distances and moves no point of an image against
-another one: no figure here contains it.
+A wrong baseline, or a wrong focal length of both cameras, scales all distances and moves no point of an image relative
+to another: no figure here contains this error.
 """
 
 import math

@@ -1,9 +1,10 @@
 """initial_bundle: initial poses and points of a bundle adjustment, by PnP (perspective-n-point) from frame to frame.
 
-The points of a frame are triangulated with their measured disparities. In some steps, several motions are found one
-after the other: that with the most inliers (RANSAC), then that of the remaining points. Behind a vehicle, most points
-may be on it; so the static scene's motion is the fastest one that has points all over the image in most steps, and the
-points that do not follow it are omitted. Rays and inverse depths start from the first observation of a point.
+The points of a frame are triangulated with their measured disparities. In some steps, several motions are found in
+turn: first the motion with the most inliers (RANSAC), then a motion of the remaining points. Behind a vehicle, most
+points may be on it; so the static scene's motion is the fastest motion that has points all over the image in most
+steps, and the points that do not follow it are omitted. Rays and inverse depths start from the first observation of a
+point.
 """
 
 from collections.abc import Sequence

@@ -3,8 +3,8 @@
     d_true = d_measured + offset_px + slope_px u + curvature_px u^2     u = (x - cx) / (width / 2), about -1 .. 1
     y_right = y_left + row_offset_px                  rows of corresponding points in the middle of the rectified images
 
-The offset is an error of the vergence angle, the slope one of the ratio of the focal lengths; the curvature comes from
-residual distortion, and from vergence, which rotates the right image plane. On KITTI's pairs six matchers agree on
+The offset is an error of the vergence angle, the slope an error of the ratio of the focal lengths; the curvature comes
+from residual distortion, and from vergence, which rotates the right image plane. On KITTI's pairs six matchers agree on
 about half a pixel at the objects. Row offset, roll and focal ratio describe the right camera, see `RightView`.
 """
 
@@ -178,7 +178,7 @@ class RightView:
         return math.hypot(self.row_offset_px, roll_px, focal_px, yaw_px)
 
     def if_needed(self, camera: PinholeCamera) -> RightView:
-        """The view if rows differ by more than 0.3 px, else that of a right camera without errors."""
+        """The view if rows differ by more than 0.3 px, else the view of a right camera without errors."""
         return self if self.rows_px(camera) > MAX_ROW_OFFSET_PX else RightView()
 
     def matrix(self, camera: PinholeCamera) -> FloatArray:

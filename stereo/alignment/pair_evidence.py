@@ -6,7 +6,7 @@ images. The disparities d of the matches are compared with inverse depths r from
     r = beta (d - o)        beta > 0: as in the rig, with an error o of all disparities, as of a wrong vergence
                             beta < 0: left and right are exchanged
 
-The error o is that with which most points of all steps agree; points are in front of the camera, so that r >= 0.
+The error o is the one that most points of all steps agree with; points are in front of the camera, so that r >= 0.
 """
 
 import math
@@ -64,7 +64,7 @@ class _Pair(NamedTuple):
     number: IntArray  # (N,) features of the left image
 
     def n_in_band(self, half_width_px: float = _BAND_PX) -> int:
-        """Number of matches in the band of rows of this half width with the most of them."""
+        """Largest number of matches in a band of rows of this half width."""
         return int(_in_band(self.right_px[:, 1] - self.left_px[:, 1], half_width_px).sum())
 
 
@@ -341,7 +341,7 @@ def _pair(left: _Features, right: _Features, size_px: tuple[int, int], *, is_mir
 
 
 def _in_band(value: FloatArray, half_width: float) -> BoolArray:
-    """(N,) whether values are in the band of this half width with the most of them."""
+    """(N,) whether values are in the band of this half width that contains most values."""
     if not len(value):
         return np.zeros(0, np.bool_)
     ordered = np.sort(value)

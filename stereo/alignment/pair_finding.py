@@ -6,7 +6,7 @@
     refused    another explanation, or several: no stereo           unknown    too few matches
 
 Two votes decide whether left and right are exchanged: the motion of the camera, and the road, on which disparities grow
-downwards below the horizon, more regularly than those of trees and houses grow upwards above it.
+downwards below the horizon, more regularly than disparities of trees and houses grow upwards above the horizon.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ def _refused(reason: str) -> PairFinding:
 
 
 def _is_without_parallax(figures: PairFigures, rig: StereoRig) -> bool:
-    """Whether near points have the disparities of far ones, 0."""
+    """Whether near points have the disparity of far points, 0."""
     d = figures.disparity_px
     height_px = figures.left_px[:, 1] - rig.left.cy_px
     is_near = rig.baseline_m * height_px / _MAX_HEIGHT_M > 2 * _EQUAL_PX

@@ -97,7 +97,7 @@ def _fitted(observed: Observations, initial: InitialBundle | None, rig: StereoRi
     """The segment from an initial bundle, or the reason why it is unusable.
 
     With a wrong initial error, few points follow the initial motion: if the fitted error is larger, a second bundle
-    starts from it.
+    starts from the fitted error.
     """
     if initial is None:
         return "too few points were tracked"
@@ -194,7 +194,7 @@ def _summed(parts: Sequence[Information]) -> tuple[FloatArray, FloatArray]:
 
 
 def _solve(parts: Sequence[Information], estimated: IntArray, known_px: FloatArray) -> FloatArray:
-    """(3,) errors, those that are not estimated as known, from I and I e of the segments."""
+    """(3,) errors from I and I e of the segments; errors that are not estimated are taken as known."""
     information, rhs = _summed(parts)
     errors_px = known_px.copy()
     errors_px[estimated] = 0.0

@@ -5,7 +5,7 @@
                              back on its way: v = a + b x + c y + d x y - lag f,  lag in times between the left images
 
 All that moves up or down counts: the expansion of the image in forward motion, pitch, and other road users. The other
-terms are those of a rig that does not fit the images. Without vertical motion, the lag is unknown.
+terms describe a rig that does not fit the images. Without vertical motion, the lag is unknown.
 """
 
 import math
@@ -36,7 +36,7 @@ _TUKEY, _N_ROUNDS = 4.685, 4
 
 
 class Lag(NamedTuple):
-    """By how much a right image is late, in times between the two left images; negative = early."""
+    """Delay of a right image in intervals between the two left images; negative = early."""
 
     value: float
     sigma: float

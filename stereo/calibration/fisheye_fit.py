@@ -6,7 +6,7 @@
        d x (H (X, Y, 1)^T) = 0,   H = s (r1 r2 t)        d = direction of a corner (X, Y) of the board
 
    The f with the smallest residual, as the median of the views, is the start. Directions need no division by z, so
-   corners beyond 90 degrees do no harm; cv2.fisheye.calibrate divides by it, and stops with an error.
+   corners beyond 90 degrees do no harm; cv2.fisheye.calibrate divides by z, and stops with an error.
 2. Intrinsics, coefficients and poses are optimised together (`solve_blocks`), with both cameras of a pair and
    their relative pose in one problem.
 """
@@ -207,7 +207,7 @@ def solve_blocks(
         [ W^T                 V + lambda diag V ] [ dp ] = [ g_p ]     V_v = J_p^T J_p,    g = -J^T r
 
     V is block diagonal, so the views are eliminated first (Schur complement). Derivatives are forward differences;
-    those by the parameters of all views are taken at once. (Triggs et al. 1999: Bundle Adjustment - A Modern Synthesis)
+    the derivatives of all views are computed at once. (Triggs et al. 1999: Bundle Adjustment - A Modern Synthesis)
 
     Raises LinAlgError if the residuals do not determine the parameters, or are not finite at the start.
     """

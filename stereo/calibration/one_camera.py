@@ -44,7 +44,7 @@ class CameraModel:
     start: PinholeCamera | None = None  # a camera near the result, for wide lenses; None = searched for
 
     def started(self, views: Sequence[BoardView]) -> CameraModel:
-        """The model with the camera of these views as start, for the fits of parts of them."""
+        """The model with the camera of these views as the start, for fits to parts of the views."""
         return replace(self, start=fit_camera(views, self)[0]) if self.lens != PINHOLE else self
 
 

@@ -193,7 +193,7 @@ def _camera_calibration(
 def _without_moved_boards(
     pairs: list[ViewPair], n_min: int, models: Models
 ) -> tuple[list[ViewPair], tuple[RejectedView, ...]]:
-    """At least `n_min` pairs, without those in which the board moved between the images, and these, worst first."""
+    """At least `n_min` pairs without movement of the board between the images, and the omitted pairs, worst first."""
     alone = [fits for _, fits in _single_fits(pairs, models)]
     alone_px = np.sqrt([(left.rms_px**2 + right.rms_px**2) / 2 for left, right in zip(*alone, strict=True)])
     used, rejected = list(range(len(pairs))), []

@@ -78,7 +78,7 @@ def confidence_measures(
 
 
 def consistent_pixels(left_px: DisparityMap, right_px: DisparityMap) -> BoolArray:
-    """(H, W) left pixels whose disparity agrees with that of the matched pixel of the right image; NaN = unknown."""
+    """(H, W) left pixels whose disparity agrees with the matched pixel of the right image; NaN = unknown."""
     width = left_px.shape[1]
     matched = np.rint(np.arange(width) - np.nan_to_num(left_px, nan=0.0)).astype(np.int64)
     other_px = np.take_along_axis(right_px, np.clip(matched, 0, width - 1), axis=1)

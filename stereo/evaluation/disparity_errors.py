@@ -5,7 +5,7 @@
 A failure is an object without a value or with an error above 15 % (`wrong_pct`: the latter only). Intervals are 95 %
 bootstrap intervals: the errors of objects in one pair (of one track of a drive) are correlated, so pairs (tracks) are
 resampled instead of objects. As in `ranging/evaluation/errors.py`, `bias_pct` is the median error and shares are
-fractions 0..1; `n` counts all objects, `n_measured` those with a value.
+fractions 0..1; `n` counts all objects, `n_measured` the measured objects.
 
 Risk-coverage curves are the errors of the boxes that are answered first, in the order of their uncertainty:
 
@@ -13,7 +13,7 @@ Risk-coverage curves are the errors of the boxes that are answered first, in the
 
 The risk is the fraction of failures, for which boxes without a value come last, or the mean relative error, over boxes
 with a value. The uncertainty is the standard deviation relative to the disparity, or another measure. A small area A
-means that the errors are small, and that the uncertain boxes are the wrong ones. (Geifman and El-Yaniv, "Selective
+means that the errors are small, and that uncertain boxes have the largest errors. (Geifman and El-Yaniv, "Selective
 classification for deep neural networks", NIPS 2017.)
 """
 
@@ -95,7 +95,7 @@ Fit = Callable[..., Alignment]  # `stereo.alignment.from_reference.fit_reference
 
 
 def left_out_alignments(column: MatcherColumn, objects: Objects, fit: Fit, *, seed: int = 0) -> dict[int, Alignment]:
-    """Alignment by pair, each fitted to all pairs except those of its fold (cross-validation).
+    """Alignment by pair, each fitted to all pairs outside of its fold (cross-validation).
 
     Raises RigError if too few objects are outside a fold.
     """
@@ -125,7 +125,7 @@ def matcher_figures(
 def common_figures(
     columns: Mapping[str, MatcherColumn], objects: Objects, *, seed: int = 0
 ) -> dict[str, dict[str, Any]]:
-    """Metrics of each matcher for the objects measured by all of them, so that rejecting hard objects gives no gain."""
+    """Metrics of each matcher for the objects that all matchers measured, so that no matcher gains by rejections."""
     is_common = np.all([np.isfinite(column.disparity_px) for column in columns.values()], axis=0)
     common = objects.select(is_common)
     return {name: _figures_with_bands(column.select(is_common), common, seed=seed) for name, column in columns.items()}
@@ -192,7 +192,7 @@ def _rounded(value: Any) -> float:
 def risk_coverage(column: MatcherColumn, true_px: FloatArray, uncertainty: FloatArray | None = None) -> dict[str, Any]:
     """The curve of one matcher for N boxes, with a row per answered fraction, and its areas, as plain values for JSON.
 
-    The areas are those under the curves of failures and of the mean relative error, per cent; the latter is None
+    The areas are under the curves of failures and of the mean relative error, per cent; the latter is None
     without a value. Boxes are sorted by `uncertainty` (N,), larger = less certain; None = the relative sigma.
     """
     order = certain_first(column, uncertainty)

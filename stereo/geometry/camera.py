@@ -1,8 +1,8 @@
 """PinholeCamera: u = fx X / Z + cx, v = fy Y / Z + cy, with a lens distortion.
 
-The distortion is OpenCV's (k1 k2 p1 p2 k3 ...), or that of a wide lens (`lenses`), which images angles up to and beyond
-90 degrees from the optical axis. Images are undistorted before anything is measured in them; of a wide lens to the
-virtual pinhole of `virtual_pinhole.py`.
+The distortion is OpenCV's (k1 k2 p1 p2 k3 ...), or the distortion of a wide lens (`lenses`), which images angles up to
+and beyond 90 degrees from the optical axis. Images are undistorted before anything is measured; images of a wide lens
+are resampled to the virtual pinhole of `virtual_pinhole.py`.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class PinholeCamera:
 
     @property
     def is_distorted(self) -> bool:
-        """Whether the images differ from those of an ideal pinhole."""
+        """Whether the images differ from images of an ideal pinhole."""
         return self.is_wide or any(coefficient != 0.0 for coefficient in self.distortion)
 
     @property
@@ -114,7 +114,7 @@ class PinholeCamera:
         return abs(self.fy_px / self.fx_px - 1.0) <= _SQUARE
 
     def squared(self) -> PinholeCamera:
-        """The ideal pinhole with square pixels of images whose coarser axis is enlarged for it."""
+        """The ideal pinhole with square pixels, for images whose coarser axis is enlarged."""
         if self.has_square_pixels:
             return self.without_distortion()
         resized = self.without_distortion().resized(square_size(self.size_px, self.fy_px / self.fx_px))

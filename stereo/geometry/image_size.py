@@ -1,7 +1,7 @@
 """Adaptation of a calibrated camera to the size of its images, and what speaks for another size.
 
-A matrix K is of use only with the size of the images that it was measured in. Where a file lacks this size, or states
-another one than that of K, the principal point shows it: centred in images of W px, it lies off centre in images of w.
+A matrix K is of use only with the size of the images that it was measured in. Where a file lacks this size, or its size
+does not belong to K, the principal point shows the size: centred in images of W px, it lies off centre in images of w.
 
     resized:  f' = f w / W        cropped:  f' = f
 """
@@ -49,7 +49,7 @@ def size_alternatives(camera: PinholeCamera, size_px: tuple[int, int]) -> tuple[
 
 
 def _centred_sizes(camera: PinholeCamera, size_px: tuple[int, int]) -> list[tuple[int, int]]:
-    """Up to two usual sizes in which the principal point is central, those with the aspect of `size_px` first."""
+    """Up to two usual sizes in which the principal point is central, sizes with the aspect of `size_px` first."""
     sizes = [
         (w, h)
         for w, h in _COMMON_SIZES
@@ -128,7 +128,8 @@ def fitted_rig(
 def analogue_alternatives(size_px: tuple[int, int]) -> tuple[FocalAlternative, ...]:
     """Pixel aspects of analogue video that states none; its pixels are taken as square.
 
-    Distances by width are then too long by the pixel aspect, those by height are right: the factor is in between.
+    Distances by width are then too long by the pixel aspect, and distances by height are right: the factor is in
+    between.
     """
     if size_px[0] not in _ANALOGUE_PX[0] or size_px[1] not in _ANALOGUE_PX[1]:
         return ()
@@ -157,7 +158,7 @@ def _listed(sizes: list[tuple[int, int]]) -> str:
 
 
 def is_size_of(camera: PinholeCamera, size_px: tuple[int, int]) -> bool:
-    """Whether images of this size are those of the camera, perhaps cropped by a codec."""
+    """Whether images of this size come from the camera, perhaps cropped by a codec."""
     return all(0 <= own - side <= _CROPPED_PX for own, side in zip(camera.size_px, size_px, strict=True))
 
 

@@ -5,8 +5,8 @@ Both cameras are rotated about their centres until their x axes lie along the ba
 the z axis of the rotated left camera. Images of wide lenses are remapped to virtual pinholes (`virtual_pinhole.py`),
 whose image size differs from the recorded one.
 
-The left image is rectified completely, for the detector; the right one only where it is read: remapping the strips in
-which 15 boxes are matched takes a tenth of the time of the entire image.
+The left image is rectified completely, for the detector; the right image is rectified only where it is read: remapping
+the strips in which 15 boxes are matched takes a tenth of the time of the entire image.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class Rectifier(_UndistortedImages):
             source: file of the rig, for messages.
 
         Raises:
-            RigError: the rig is implausible, the cameras are not side by side, or one of them is upside down.
+            RigError: the rig is implausible, the cameras are not side by side, or a camera is upside down.
         """
         check_rig(rig, source)
         self.is_turned = is_turned
@@ -158,7 +158,7 @@ class Rectifier(_UndistortedImages):
 
 
 class RemappedView:
-    """A grey image, `recorded`, that is remapped only where it is read, and stored once all of it was read."""
+    """A grey image, `recorded`, that is remapped only where it is read, and stored once it was read completely."""
 
     def __init__(self, image: Image, maps: Maps) -> None:
         """The view of `image`, (H, W) or (H, W, 3) BGR, through `maps`."""

@@ -30,7 +30,7 @@ def rigid_motion(rotation: npt.ArrayLike, translation: npt.ArrayLike) -> FloatAr
 
 
 def inverse_motion(motion: FloatArray) -> FloatArray:
-    """(4, 4) inverse of a rigid transform by its transpose, also of a rotation that has few digits in a file."""
+    """(4, 4) inverse of a rigid transform by its transpose, even if a file states the rotation with few digits."""
     return rigid_motion(motion[:3, :3].T, -motion[:3, :3].T @ motion[:3, 3])
 
 

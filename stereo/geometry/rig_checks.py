@@ -147,7 +147,7 @@ def shared_view(rig: StereoRig) -> float:
 
 
 def shared_view_notes(rig: StereoRig, source: object) -> tuple[str, ...]:
-    """Notes on a right camera that sees only a part of the left image. Raises RigError if it sees hardly any of it."""
+    """Notes on a right camera that sees only a part of the left image; RigError if it sees hardly any part."""
     fraction = shared_view(rig)
     if fraction < _MIN_SHARED_VIEW:
         raise RigError(

@@ -66,7 +66,7 @@ def axial_focal_px(camera: PinholeCamera) -> float:
 
 
 def view_from_camera(yaw_deg: float) -> FloatArray:
-    """(3, 3) rotation from a camera's frame to that of a view whose axis is `yaw_deg` to the right of the camera's."""
+    """(3, 3) rotation from a camera's frame to a view whose axis is `yaw_deg` to the right of the camera's axis."""
     sine, cosine = math.sin(math.radians(yaw_deg)), math.cos(math.radians(yaw_deg))
     return np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]])
 

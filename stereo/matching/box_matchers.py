@@ -44,7 +44,7 @@ class DenseMatcher:
         prior_px: FloatArray,
         by_size: ExpectedDisparity | None = None,
     ) -> PatchMatches:
-        """As `BoxMatcher.match`; the outcome of boxes without a disparity is NO_TEXTURE."""
+        """See `BoxMatcher.match`; the outcome of boxes without a disparity is NO_TEXTURE."""
         dense = self._sgbm.dense_disparity(left, whole_image(right))
         disparity_px, sigma_px = self._read(dense, xyxy_px, settings=self._settings)
         outcome = np.where(np.isnan(disparity_px), int(Outcome.NO_TEXTURE), int(Outcome.MATCHED))

@@ -1,4 +1,4 @@
-"""Match confidence: margins between a surface's cost and those of a chance match and the second best disparity."""
+"""Match confidence: margins of a surface's cost to the costs of a chance match and of the second best disparity."""
 
 from dataclasses import dataclass
 

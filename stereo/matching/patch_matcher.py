@@ -8,9 +8,9 @@
     6. subpixel   least squares on grey values, and the surface through the windows        `subpixel`, `surfaces`
     7. checks     texture, uniqueness, search range, cost; sigma                           `confidence`
 
-The range of disparities is that about the last match of the box's track; else that about the disparity expected from
-the object's size; else the full range, first on coarse tiles and then, about the result, on fine ones. The full range
-is also searched where the other two give no match.
+The range of disparities lies about the last match of the box's track; else about the disparity expected from the
+object's size; else it is the full range, first on coarse tiles and then, about the result, on fine tiles. The full
+range is also searched where the other two give no match.
 
 A doubtful match is NaN, with the reason: the minimum lies at the end of the search range, is shallow (no texture), has
 a second best minimum of nearly the same cost (repeated texture), or costs nearly as much as a chance match (12 bits).
@@ -134,7 +134,7 @@ class PatchMatcher:
         prior_px: FloatArray,
         by_size: ExpectedDisparity | None = None,
     ) -> PatchMatches:
-        """As `BoxMatcher.match`, for rectified images of equal size; any boxes, including NaN and outside the image.
+        """See `BoxMatcher.match`; images are rectified and of equal size; boxes may be NaN or outside the image.
 
         Without a prior, or with a doubtful match near it, the range by size or the full range is searched. Only the
         pixels of the right image that the boxes need are read. Raises ValueError if the images differ in size.
@@ -188,7 +188,7 @@ class PatchMatcher:
         return boxes, limit_px, outcome
 
     def _in_range(self, disparity_px: FloatArray, limit_px: FloatArray) -> FloatArray:
-        """(N,) disparities inside the range of each box; NaN for others."""
+        """(N,) disparities inside the range of each box; NaN elsewhere."""
         is_inside = (disparity_px >= self._settings.min_disparity_px) & (disparity_px <= limit_px)
         return np.where(is_inside, disparity_px, np.nan)
 

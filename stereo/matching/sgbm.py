@@ -1,4 +1,4 @@
-"""Sgbm: the disparity of every pixel by OpenCV's semi-global matching (Hirschmueller 2008), and of boxes from it.
+"""Sgbm: the disparity of every pixel by OpenCV's semi-global matching (Hirschmueller 2008), and of boxes.
 
 OpenCV gives no disparities in the leftmost `n_disparities` columns, because not all candidates are inside the right
 image. Here both images are padded on the left first, and only pixels with a match outside the right image stay NaN.
@@ -72,7 +72,7 @@ class SgbmSettings:
     def for_rig(
         cls, rig: StereoRig, *, nearest_m: float = 3.0, chosen: Mapping[str, Any] | None = None
     ) -> SgbmSettings:
-        """As `of`, by default for distances from `nearest_m` with a rectified rig."""
+        """See `of`; by default for distances from `nearest_m` with a rectified rig."""
         disparity_px = min(rig.left.fx_px * rig.baseline_m / nearest_m, rig.left.width_px / 2)
         return cls.of({"n_disparities": max(16 * math.ceil(disparity_px / 16), 16), **(chosen or {})})
 
@@ -209,8 +209,8 @@ def centre_disparity(
 ) -> tuple[FloatArray, FloatArray]:
     """Disparity of the pixel at the centre of each box (N, 4), as used by Guo Pengyu, and sigma, (N,) each.
 
-    NaN where that pixel is unknown or outside the image. Sigma is that of the inner half, which includes the scatter of
-    its pixels, or that of a flat patch if too few of them are known.
+    NaN where that pixel is unknown or outside the image. Sigma is computed from the inner half, including the scatter
+    of its pixels, or for a flat patch if too few pixels are known.
     """
     settings = settings or SgbmSettings()
     centre_px, sigma_px = np.full(len(xyxy_px), np.nan), np.full(len(xyxy_px), np.nan)

@@ -9,7 +9,7 @@ along the row,
 The gain a and the bias b belong to each window, so that the cameras' exposures may differ, as with census. The
 derivative is the left tile's in both iterations. The first one interpolates right(x - d) linearly, the last one by a
 cubic, which shifts all frequencies of a smoothed image by nearly the same amount: no fraction of a pixel is preferred.
-The variance of d is that of the least squares, with the residuals as the noise. The surface is fitted again to the
+The variance of d follows from the least squares, with the residuals as the noise. The surface is fitted again to the
 windows that the grey values confirm.
 
 A vertical offset between the images shifts slanted edges sideways: on KITTI's cars by up to half a pixel per pixel. So
@@ -53,7 +53,7 @@ class RefinedSurface:
 
 
 def refine_surface(tiles: BoxTiles, index: FloatArray, is_member: BoolArray, plane: SurfaceFit) -> RefinedSurface:
-    """The surface with subpixel disparities, from those by census (N, G) relative to index 0, px of the tile.
+    """The surface with subpixel disparities, from census disparities (N, G) relative to index 0, px of the tile.
 
     `is_member` (N, G) are the windows of the surface, `plane` is the plane through them.
     """

@@ -3,7 +3,7 @@
     P(s) = exp(theta . phi(s)) / sum over the surfaces t of exp(theta . phi(t))
 
 The features phi are where a surface lies in the box, how well it matches, whether other surfaces are in front of or
-behind it, and how its disparity agrees with what is known of the object: its size, its track, the other boxes. An
+behind it, and how its disparity agrees with what is known about the object: its size, its track and the other boxes. An
 occluder is in front, narrow, and too near for the size of the box; the background is behind, at the box's corners; the
 object surrounds its occluder, so that it is seen on both sides.
 """

@@ -1,8 +1,8 @@
-"""The surfaces that a box shows: groups of windows on a common plane, the object's and those in front of and behind it.
+"""The surfaces that a box shows, of the object and in front of and behind it: groups of windows on a plane.
 
 Windows vote for a disparity: the support of a window is the number of windows that agree with it, those in the lower
 middle of the box counting most. The window with the largest support is the first surface; a plane through the windows
-that agree with it decides which windows belong to it. The others vote again, for the next surface.
+that agree with it decides which windows belong to it. The remaining windows vote again, for the next surface.
 
     d(u, v) = p0 + p1 u + p2 v + p3 u^2 + p4 v^2      u, v: position relative to the box's centre, in box sizes
 
@@ -106,7 +106,7 @@ def fit_surfaces(
 
 @dataclass(frozen=True, slots=True)
 class Surfaces:
-    """S surfaces of each of N boxes, those with most support first."""
+    """S surfaces of each of N boxes, in order of decreasing support."""
 
     is_member: BoolArray  # (S, N, G) windows of each surface; none = the box shows fewer surfaces
     # (S, N) disparity at the box's centre relative to index 0 of the costs, px of the tile; NaN = none
@@ -116,7 +116,7 @@ class Surfaces:
 
 
 def window_weights(matches: WindowMatches, tiles: BoxTiles) -> FloatArray:
-    """(N, G) weights of windows: the slope of the minimum, reduced for costs like those of chance matches."""
+    """(N, G) weights of windows: the slope of the minimum, reduced for costs that a chance match could have."""
     resemblance = np.clip((_NO_MATCH_BITS - matches.cost) / (_NO_MATCH_BITS - _FULL_COST_BITS), 0.0, 1.0)
     return np.asarray(np.where(tiles.is_used, matches.slope * resemblance, 0.0))
 
@@ -129,7 +129,7 @@ def centre_weights(u: FloatArray, v: FloatArray) -> FloatArray:
 def find_surfaces(index: FloatArray, weight: FloatArray, tiles: BoxTiles) -> Surfaces:
     """The S surfaces with most support, from disparities (N, G) relative to index 0, px of the tile, and weights.
 
-    The first one grows along its plane before the others are found in what remains; these grow at once.
+    The first surface grows along its plane before further surfaces are found in the rest; these grow together.
     """
     u, v = tiles.u, tiles.v
     tolerance = np.maximum(_SAME_SURFACE_FRACTION * (tiles.first[:, None] + index), _SAME_SURFACE_PX)
@@ -138,7 +138,7 @@ def find_surfaces(index: FloatArray, weight: FloatArray, tiles: BoxTiles) -> Sur
     central, terms = centre_weights(u, v), surface_terms(u, v)
 
     def modes(free: FloatArray, n: int) -> tuple[BoolArray, FloatArray, FloatArray]:
-        """Windows (n, N, G) that agree with the one of most support, its disparity and its tolerance (n, N, 1)."""
+        """Windows (n, N, G) that agree with the window of most support, its disparity and its tolerance (n, N, 1)."""
         chosen = []
         for _ in range(n):
             support = np.where(free > 0, (agree @ (free * near_object)[:, :, None])[..., 0], 0.0)

@@ -11,7 +11,7 @@ window before:
     L(w, d) = C(w, d) + min(L(v, d), L(v, d - 1) + P1, L(v, d + 1) + P1, min_i L(v, i) + P2) - min_i L(v, i)
     S(w, d) = sum of L(w, d) over the four paths
 
-A window without a clear minimum, on glass or paint, takes that of its neighbours through S. The disparity is the
+A window without a clear minimum, on glass or paint, takes the minimum of its neighbours through S. The disparity is the
 minimum of the window's cost C next to the minimum of S, with a V-shaped (equiangular) fit between pixels, because a sum
 of absolute differences is linear on both sides of the minimum (Shimizu & Okutomi 2005). S is not interpolated: the
 steps P1 bias it to whole pixels.

@@ -1,4 +1,4 @@
-"""Motion of the camera: EgoMotion, its speed and yaw rate; CameraStep, with images; Odometry measures it."""
+"""EgoMotion: speed and yaw rate of the camera; CameraStep: motion between images; Odometry measures both."""
 
 import math
 from dataclasses import dataclass

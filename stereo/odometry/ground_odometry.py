@@ -10,9 +10,9 @@ C is the rotation of a level frame that looks along the direction of travel to t
 
 The picture is divided into strips. The shift is the maximum of their mean normalised correlation; strips under boxes of
 road users or without texture do not count. The speed is unknown if the maximum is low or not unique. A horizon in a
-wrong row makes distant parts of the road shift more, or less, than near ones: if it is taken to be d rad too low, a
-point at distance Z seems to be at Z + d Z^2 / h, and a shift s with its middle at Z becomes s (1 + 2 Z d / h). So the
-slope of the shifts over the distances measures the horizon, whatever the height.
+wrong row makes distant parts of the road shift more, or less, than near parts: if the horizon is taken to be d rad too
+low, a point at distance Z seems to be at Z + d Z^2 / h, and a shift s with its middle at Z becomes s (1 + 2 Z d / h).
+So the slope of the shifts over the distances measures the horizon, whatever the height.
 
 An error of the camera height is an equal relative error of the speed. The road is taken to be plane up to 15 m.
 """

@@ -6,10 +6,11 @@ A static point has the ray p before and p' now, and moves on its epipolar line:
 
 Both are fitted to corners outside the boxes of road users by Gauss-Newton on Sampson's distance with Tukey weights
 (Hartley and Zisserman, 2004, section 11.4.3). Yaw and a sideways t move distant points alike. Near points separate
-them, but deform as they approach, and errors of their flow grow with it: their weight is lower, and t is a random walk,
-so that its last estimate is the prior of the next one. Corners on edges are left out: a lane line in a curve stays in
-its place in the image, as if the road did not turn. With the rotation removed, points move away from the epipole e
-by (p' - e) = (1 + g) (R p - e); the expansion is the median of g per second, the forward speed over a typical depth.
+them, but their surroundings deform as they approach, which increases errors of the flow: their weight is lower, and t
+is a random walk, so that its last estimate is the prior of the next one. Corners on edges are left out: a lane line in
+a curve stays in its place in the image, as if the road did not turn. With the rotation removed, points move away from
+the epipole e by (p' - e) = (1 + g) (R p - e); the expansion is the median of g per second, the forward speed over a
+typical depth.
 """
 
 import math

@@ -12,8 +12,8 @@ in the vertical plane, positive where it turns upwards. A Kalman filter has the 
 
 A car pitches on its springs about its mean, so y - m is near 0. Measurements of y are the direction of travel, since a
 car drives parallel to the road, and the slope of the shifts of near and distant strips of the road (`GroundOdometry`):
-that of the road Z ahead, whose horizon is y - k Z / 2. The height of a curved road at Z is a mean of the curvatures on
-the way with their centre at Z / 3, so k(Z) = k exp(-Z / 3l).
+it belongs to the road Z ahead, whose horizon is y - k Z / 2. The height of a curved road at Z is a mean of the
+curvatures on the way with their centre at Z / 3, so k(Z) = k exp(-Z / 3l).
 
 Lengths are in units of the height that the speeds were measured with: if it is wrong by a factor, so is 1 / k.
 """

@@ -34,7 +34,7 @@ class SpeedFilter:
         """Speed at `time_s` and its standard deviation, NaN = unknown.
 
         `speed_mps` is the mean speed over `dt_s`, NaN = not measured; `sigma_mps` its independent standard deviation,
-        `systematic_mps` that of an error that is the same in all frames.
+        `systematic_mps` is the sigma of an error that is the same in all frames.
         """
         middle_s = time_s - dt_s / 2
         if middle_s - self._measured_s > _MAX_GAP_S:

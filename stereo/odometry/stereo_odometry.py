@@ -8,7 +8,7 @@ r"""StereoOdometry: motion of a rectified pair from corners with disparities, on
 
 1. Corners outside the boxes of road users get disparities: block matching on a quarter of the size, then Lucas-Kanade.
 2. Lucas-Kanade finds them in the next left image, from where the previous motion predicts them.
-3. The motion that most corners agree with, among those of random triples, is the start (RANSAC). For a small rotation w
+3. The motion of a random triple that most corners agree with is the start (RANSAC). For a small rotation w
    a triple is a linear system, exact in t: p' (m + w x m + t rho)_z = (m + w x m + t rho)_xy.
 4. Gauss-Newton minimises the reprojection errors, weighted by Tukey's function and the inverse of their variance
    noise^2 + disparity_noise^2 |d p' / d d|^2, so that uncertain depths have little weight.
@@ -221,7 +221,7 @@ class StereoOdometry:
         return fit if has_static and fit.noise_factor <= _MAX_NOISE_FACTOR else None
 
     def _speed(self, fit: MotionFit, time_s: float, dt_s: float) -> tuple[float, float, float]:
-        """Speed along the optical axis, its independent standard deviation, and the one common to all frames."""
+        """Speed along the optical axis, its independent standard deviation, and the deviation common to all frames."""
         forward_m = -float(fit.motion.rotation[:, 2] @ fit.motion.translation_m)  # z of the displacement -R^T t
         speed_mps, sigma_mps = forward_m / dt_s, math.sqrt(fit.covariance[5, 5]) / dt_s
         alignment_sigma_px = self._alignment.at(time_s).residual_px / (1 << self._n_halved)

@@ -42,7 +42,7 @@ def _content(path: Path, text: str | None = None) -> dict[str, Any]:
 
 
 def _read_euroc(text: str, path: Path, *, is_pair: bool) -> RigCalibration:
-    """The camera of a sensor file; with that of the other camera, beside it or in a folder beside it, if `is_pair`."""
+    """The camera of a sensor file; if `is_pair`, with the other camera, whose file or folder is beside this file."""
     partner = partner_of(path) if is_pair else None
     own = _euroc_block(_content(path, text))
     if partner is None:
@@ -72,7 +72,7 @@ def _rows(value: Any) -> Any:
 
 
 def _read_vins(text: str, path: Path, *, is_pair: bool) -> RigCalibration:
-    """The cameras of VINS's settings; or of one camera's file, as a pair if settings beside it name it."""
+    """The cameras of VINS's settings, or of one camera's file, as a pair if settings beside it name this file."""
     content = _content(path, text)
     settings = _settings_of(path) if is_pair and "model_type" in content else None
     if "model_type" in content and settings is None:
@@ -101,7 +101,7 @@ def _read_vins(text: str, path: Path, *, is_pair: bool) -> RigCalibration:
 
 
 def _settings_of(path: Path) -> tuple[Path, dict[str, Any]] | None:
-    """The settings of a pair beside a camera's file, which name it or another file of it; None = none."""
+    """The settings of a pair beside a camera's file that name this file or another file of the camera; else None."""
     for file in files_of(path.absolute().parent):
         with contextlib.suppress(RigError):  # of files of other kinds
             text = read_text(file, RigError, "settings of VINS") if file.suffix in (".yaml", ".yml") else ""

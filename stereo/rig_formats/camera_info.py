@@ -1,8 +1,9 @@
-"""CameraInfo: the calibration of one camera in ROS (sensor_msgs/CameraInfo, foxglove.CameraCalibration); rigs of two.
+"""CameraInfo: ROS's calibration of a camera (sensor_msgs/CameraInfo, foxglove.CameraCalibration), and its rigs.
 
 P = [K' | K' t'],  x' = R x,  t' = (-baseline, 0, 0) for the right camera
 
-x = point in the camera's frame, x' = in its rectified frame (http://docs.ros.org/en/api/sensor_msgs/html/msg/CameraInfo.html).
+x = point in the camera's frame, x' = in its rectified frame
+(http://docs.ros.org/en/api/sensor_msgs/html/msg/CameraInfo.html).
 """
 
 from dataclasses import dataclass

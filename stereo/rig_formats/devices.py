@@ -48,7 +48,7 @@ _SPEC_DIFFERENCE = 0.05  # relative difference of the baselines by calibration a
 
 
 def _read_zed(text: str, path: Path) -> RigCalibration:
-    """The cameras of all resolutions, the first one with the others as `others`."""
+    """The cameras of the first resolution, with the cameras of other resolutions as `others`."""
     values = {
         name.upper(): {key.lower(): value for key, value in section.items() if isinstance(value, float)}
         for name, section in plain_values(text, path, _ZED_TITLE).items()
@@ -202,7 +202,7 @@ def _cropped(camera: PinholeCamera) -> PinholeCamera | None:
 
 
 def _route(cameras: Mapping[int, _OakCamera], start: int, goal: int, translation: str) -> FloatArray | None:
-    """(4, 4) transform from the camera in one socket to that in another, through others, metres; None = no way."""
+    """(4, 4) transform in metres from the camera in one socket to another, or via other sockets; None = unknown."""
     steps: dict[tuple[int, int], FloatArray] = {}
     for socket, camera in cameras.items():
         extrinsics, to = camera.extrinsics, camera.extrinsics.toCameraSocket

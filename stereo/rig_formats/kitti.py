@@ -3,7 +3,7 @@
     P0, P1  left and right grey camera       P2, P3  left and right colour camera
     t = K^-1 P[:, 3]                         baseline = -(P3[0, 3] - P2[0, 3]) / fx
 
-The lines are `P2: 12 numbers` in the odometry, tracking and stereo sets; some copies lack the colon, and others are two
+The lines are `P2: 12 numbers` in the odometry, tracking and stereo sets; some copies lack the colon, and some are two
 lines of 12 numbers without names. The raw set's calib_cam_to_cam.txt has rectified and recorded images:
 
     P_rect_02, S_rect_02      projection and size of the rectified images
@@ -42,7 +42,7 @@ def _has_projections(text: str) -> bool:
 
 
 def _lines(text: str, kind: str) -> list[tuple[int, str]]:
-    """Number of the camera and values of each line P or S of rectified images; the last one of a camera counts."""
+    """Number of the camera and values of each line P or S of rectified images; the last line of a camera counts."""
     return [(int(number), values) for name, number, values in _LINE.findall(text) if name == kind]
 
 

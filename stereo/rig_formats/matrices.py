@@ -135,7 +135,7 @@ def read_kind(kind: Kind, text: str, path: Path, *, is_pair: bool) -> RigCalibra
 
 
 def _completed(given: Quantities, path: Path, *, is_pair: bool) -> tuple[Quantities, list[Path]]:
-    """The quantities with those of the files beside `path` that complete them: extrinsics, intrinsics, other camera."""
+    """The quantities, completed by files in the folder of `path`: extrinsics, intrinsics, other camera."""
     has_cameras, has_extrinsics = given.has("K", "fx"), given.has(*_EXTRINSIC, "P", "baseline", "bf")
     is_single = has_cameras and len(given.sides()) < 2
     if has_extrinsics != has_cameras and (not is_single or "intrinsic" in path.stem):
@@ -395,7 +395,7 @@ def _shaped(values: FloatArray, shape: tuple[int, ...], name: str, path: Path) -
 
 
 def camera_values(given: Quantities, number: int) -> dict[str, object]:
-    """The values of the first or second camera by key of rig.yaml, those that could be read."""
+    """The values of the first or second camera that could be read, by key of rig.yaml."""
     values: dict[str, object] = {}
     if number >= len(sides := given.sides() or [None]):
         return values

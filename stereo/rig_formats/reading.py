@@ -67,7 +67,7 @@ def _fitted(
 def _check_sizes(
     cameras: tuple[PinholeCamera, PinholeCamera], sizes_px: tuple[tuple[int, int], tuple[int, int]], path: Path
 ) -> None:
-    """Check that images of unequal sizes are those of the file's cameras, or both reduced by the same factor."""
+    """Check that images of unequal sizes have the sizes of the file's cameras, or both sizes reduced by one factor."""
     scales = [size_px[0] / max(camera.width_px, 1) for camera, size_px in zip(cameras, sizes_px, strict=True)]
     if not cameras[0].width_px or abs(scales[1] / scales[0] - 1) > _SCALE_TOLERANCE:
         expected = " and ".join(f"{camera.width_px}x{camera.height_px}" for camera in cameras) + " px"
@@ -147,7 +147,7 @@ def read_calibration(path: Path, *, is_grey: bool, is_pair: bool) -> RigCalibrat
 
 
 def _read_folder(folder: Path, *, is_grey: bool) -> RigCalibration:
-    """The pair in a folder: two camera_info of ROS, else the first file that leads to one, also in cam0 or left."""
+    """The pair in a folder: two camera_info of ROS, else the first file that gives a pair; also in cam0 or left."""
     if (rig := read_folder(folder)) is not None:
         return rig
     inside = [folder / name for name in ("mav0/cam0", "cam0", "left") if (folder / name).is_dir()]

@@ -1,7 +1,8 @@
 """rig.yaml, track-range's format for rigs and single cameras; numbers are written with full precision.
 
-Keys contain their unit; a file for one camera has only `left`; distortion is OpenCV's k1, k2, p1, p2, k3, ..., or that
-of the wide lens named by the key `lens` (kannala-brandt: k1 .. k4, double-sphere: xi alpha, omni: xi k1 k2 p1 p2):
+Keys contain their unit; a file for one camera has only `left`; distortion is OpenCV's k1, k2, p1, p2, k3, ..., or the
+distortion of the wide lens named by the key `lens` (kannala-brandt: k1 .. k4, double-sphere: xi alpha, omni: xi k1 k2
+p1 p2):
 
     track_range_rig: 1
     left: {fx_px: 721.5, fy_px: 721.5, cx_px: 609.6, cy_px: 172.9, width_px: 1242, height_px: 375, distortion: []}

@@ -4,8 +4,8 @@
                         rectification_matrix projection_matrix             matrices as {rows, cols, data}
     topic echo          width height distortion_model D K R P (d k r p)    lists; `---` after each message
 
-The right camera of a pair is the one with the smaller P[0, 3] = -f B. The images of camera_info are those of the driver
-(image_raw), which D, K and R rectify; P describes the rectified ones (image_rect). Both have the same size.
+The right camera of a pair is the one with the smaller P[0, 3] = -f B. The images of camera_info come from the driver
+(image_raw), and D, K and R rectify them; P describes the rectified images (image_rect). Both have the same size.
 (http://docs.ros.org/en/api/sensor_msgs/html/msg/CameraInfo.html, http://wiki.ros.org/camera_calibration_parsers.)
 """
 
@@ -103,7 +103,7 @@ def _is_camera_info(text: str) -> bool:
 
 
 def _ost_documents(text: str) -> list[dict[str, object]]:
-    """The keys and numbers of each camera of an ost.txt, under its name in brackets; [image] is that of all."""
+    """The keys and numbers of each camera of an ost.txt, under its name in brackets; [image] applies to all."""
     parts = ["image", *re.split(r"^[ \t]*\[(.*)\][ \t]*$", text.replace("\r", "") + "\n", flags=re.MULTILINE)]
     common: dict[str, object] = {}
     documents: list[dict[str, object]] = []
@@ -129,7 +129,7 @@ def _read(text: str, path: Path, _is_grey: bool) -> RigCalibration:
 
 
 def _read_pair(text: str, path: Path, is_grey: bool) -> RigCalibration:
-    """As `_read`; the other camera of a file with one is that of the file for the other side, if there is one."""
+    """See `_read`; for a file with one camera, the other camera is read from the other side's file, if it exists."""
     cameras = _cameras(text, path)
     if len(cameras) == 1 and (partner := partner_of(path)) is not None:
         cameras += _cameras(read_text(partner, RigError, _EXPECTED), partner)

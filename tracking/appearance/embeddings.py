@@ -61,10 +61,10 @@ class ColourLayout:
 
     In grey images only lightness is used: their a* and b* are equal everywhere and would make all boxes similar.
 
-    Bands, bins and weights were tuned on KITTI tracking 0003 and three simulated drives; 0005, three cars only, took no
-    part in that, but `max_cosine_distance` was chosen on all of them. Single embeddings are compared, within a class,
-    at least half visible, with boxes jittered by 4 %. (OSNet x0.25 takes a hundred times as long and was tuned on none
-    of these drives.)
+    Bands, bins and weights were tuned on KITTI tracking 0003 and three simulated drives; 0005, with only three cars,
+    was not used for that, but `max_cosine_distance` was chosen on all drives. Single embeddings are compared, within a
+    class, at least half visible, with boxes jittered by 4 %. (OSNet x0.25 takes a hundred times as long and was tuned
+    on none of these drives.)
 
         frames apart (0.1, 0.125 s)       1      5     10     OSNet:    1      5     10
         0005   area under the curve   1.000  0.995  0.967             0.981  0.985  0.967
@@ -95,7 +95,7 @@ class ColourLayout:
         return 3 * self._settings.n_bands * self._settings.n_bins
 
     def embed(self, image: Image, xyxy_px: FloatArray) -> Descriptors:
-        """As `AppearanceModel.embed`; parts outside the image do not count. ValueError: the image is not (H, W, 3)."""
+        """See `AppearanceModel.embed`; parts outside the image do not count. ValueError: the image is not (H, W, 3)."""
         check_shape("image", image, (None, None, 3))
         embedding = np.zeros((len(xyxy_px), self.n_values), np.float32)
         usable = np.flatnonzero(has_appearance(image, xyxy_px))

@@ -1,4 +1,4 @@
-"""Gallery: the appearance embeddings of each track, and their distances from those of boxes.
+"""Gallery: the appearance embeddings of each track, and their distances from the embeddings of boxes.
 
     distance = min over the track's embeddings of 1 - cos(track's embedding, box's embedding)      in [0, 2]
 
@@ -62,7 +62,7 @@ class Gallery:
         return Gallery(self.embedding[rows], self.mean_memory)
 
     def concatenate(self, other: Gallery) -> Gallery:
-        """The tracks of both, `other`'s last; ValueError if numbers of slots or lengths of embeddings differ."""
+        """The tracks of both galleries, `other`'s last; ValueError if their shapes differ."""
         length = _common_length(self.embedding, other.embedding)
         return Gallery(
             np.concatenate([_lengthened(self.embedding, length), _lengthened(other.embedding, length)]),
@@ -89,9 +89,10 @@ class Gallery:
         return Gallery(embedding, self.mean_memory)
 
     def cosine_distance(self, embedding: Descriptors, among: BoolArray | None = None) -> FloatArray:
-        """(N, M) minimum distance of each track's embeddings from each box's; inf where one of the two is unknown.
+        """(N, M) minimum distance of each track's embeddings from each box's; inf where an embedding is missing.
 
-        `embedding` (M, D) has rows of length 1 or zeros; only the pairs `among` (N, M) are compared, others are inf.
+        `embedding` (M, D) has rows of length 1 or zeros; only the pairs `among` (N, M) are compared; all other
+        distances are inf.
         """
         distance = np.full((len(self), len(embedding)), np.inf)
         if not distance.size or not self.embedding.shape[2] or not embedding.shape[1]:

@@ -4,8 +4,8 @@
               truncated or more than largely occluded; also unmatched results at most 25 px high, or with more than half
               of their area in a DontCare region. The remaining truth of the class counts.
     MOT16-20  results that match a person on a vehicle, a static person, a distractor or a reflection are dropped, in
-              MOT20 also those that match a vehicle without a motor. Truth that is flagged as evaluated and of the class
-              pedestrian counts.
+              MOT20 also removes boxes that match a vehicle without a motor. Truth that is flagged as evaluated and of
+              the class pedestrian counts.
     MOT15     truth that is flagged as evaluated counts.
 
 Matches are the best one-to-one assignment with an IoU of at least 0.5. (The rules are those of `evaluate_tracking.py`

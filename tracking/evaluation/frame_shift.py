@@ -1,4 +1,4 @@
-"""Detection of boxes whose frame numbers are shifted, mostly by one: the commonest error of converters of labels."""
+"""Detection of boxes whose frame numbers are shifted, mostly by one, the most common error of label converters."""
 
 import numpy as np
 
@@ -56,7 +56,7 @@ def _mean_iou(frames: IntArray, truth: tuple[IntArray, FloatArray], others: tupl
 def frame_shift_note(
     name: str, truth_frame: IntArray, truth_px: FloatArray, frame: IntArray, xyxy_px: FloatArray
 ) -> tuple[str, ...]:
-    """A note if boxes have no frame with the truth in common, or match it much better in other ones: `frame_shift`."""
+    """A note if boxes share no frame with the truth, or match it much better after a shift: `frame_shift`."""
     is_common = np.isin(frame, truth_frame).any()
     shift = frame_shift(truth_frame, truth_px, frame, xyxy_px)
     change = f"{'decreased' if shift < 0 else 'increased'} by {abs(shift)}"

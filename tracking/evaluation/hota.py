@@ -26,7 +26,7 @@ _EPSILON = float(np.finfo(np.float64).eps)  # tolerance of comparisons, as in Tr
 
 @dataclass(frozen=True, slots=True)
 class HotaCounts:
-    """Counts of HOTA per IoU threshold; those of several sequences add up."""
+    """Counts of HOTA per IoU threshold; counts of several sequences can be added."""
 
     tp: FloatArray  # (19,) matches; fn and fp: unmatched truth and result boxes
     fn: FloatArray

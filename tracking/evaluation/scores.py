@@ -1,7 +1,7 @@
 """Scores of tracks: HOTA, CLEAR (MOTA, MOTP, switches) and identity metrics (IDF1), of one or several sequences.
 
 A result box and a truth box can match only if their classes are equal. HOTA is evaluated at IoU thresholds from 0.05 to
-0.95, the others at 0.5 (`tracking.hota` and `tracking.clear`, which agree with TrackEval).
+0.95, the other metrics at 0.5 (`tracking.hota` and `tracking.clear`, which agree with TrackEval).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _MIN_FRACTION_IGNORED = 0.5  # of an unmatched result box inside an ignore regio
 
 @dataclass(frozen=True, slots=True)
 class TrackingScores:
-    """Scores of one or more sequences: ratios in per cent (NaN where the denominator is 0), the others are counts."""
+    """Scores of one or more sequences: ratios in per cent (NaN where the denominator is 0), and counts."""
 
     hota: float  # higher-order tracking accuracy
     deta: float  # detection accuracy, a part of HOTA
@@ -46,7 +46,7 @@ class TrackingScores:
 
 @dataclass(frozen=True, slots=True)
 class TrackingCounts:
-    """Counts from which the scores are computed; those of several sequences add up."""
+    """Counts from which the scores are computed; counts of several sequences can be added."""
 
     hota: HotaCounts  # counts of HOTA
     clear: ClearCounts  # counts of CLEAR and the identity metrics

@@ -21,9 +21,9 @@ _KITTI_COMPLETE: BoolArray = np.isin(ROAD_CLASSES, ("person", "bicycle", "car", 
 class ImageTruth:
     """The M labels of one image.
 
-    `is_region`: (M,) ignored region of many objects: any number of detections match it, by the fraction inside it
-    instead of IoU. `confidence`: (M,) float64 probability that there is such an object: 1 for labels, less for
-    pseudo-labels.
+    `is_region`: (M,) ignored region of many objects: any number of detections match it, by their fraction inside the
+    region instead of their IoU. `confidence`: (M,) float64 probability that there is such an object: 1 for labels, less
+    for pseudo-labels.
     """
 
     xyxy_px: FloatArray  # (M, 4) float64, pixel centres at integers
@@ -56,8 +56,8 @@ def truth_of_kitti(labels: KittiLabels) -> ImageTruth:
     """The truth of one image from its KITTI rows, for objects of any size, occlusion and truncation.
 
     Car, Pedestrian, Cyclist and Truck are evaluated; Van and Person_sitting are ignored for the similar class, Tram,
-    Misc and other types for every class; DontCare is a region. The box of a Cyclist includes the rider, that of COCO's
-    bicycle does not, so the score of a detector with COCO's classes is too low for this class.
+    Misc and other types for every class; DontCare is a region. The box of a Cyclist includes the rider, unlike the box
+    of COCO's bicycle, so the score of a detector with COCO's classes is too low for this class.
     """
     types = [str(name) for name in labels.kitti_type]
     roads = [_KITTI_NEIGHBOUR.get(name) or road_class_of(name) for name in types]

@@ -74,7 +74,7 @@ def read_labelled(
     """The images of a folder that have labels, sorted by name; LabelFileError if there are none or they are invalid.
 
     `labels` is a folder of label files, or the file of a COCO data set or a KITTI sequence; `label_format` is a name in
-    `IMAGE_LABELS`; `names` are class names for the numbers in YOLO labels, by default those for the folder.
+    `IMAGE_LABELS`; `names` are class names for the numbers in YOLO labels, by default the names for the folder.
     """
     labelled = IMAGE_LABELS[label_format](images_in(images), labels, names)
     if not labelled:
@@ -89,7 +89,7 @@ def read_sequence(labels: Path) -> Callable[[int], ImageTruth]:
 
 
 def read_manifest(path: Path) -> dict[str, tuple[str, BoolArray]]:
-    """Split, and (8,) which road classes are completely labelled, by file name, from a CSV; else LabelFileError.
+    """From a CSV, by file name: the split, and (8,) which road classes are completely labelled. Raises LabelFileError.
 
     Its columns are file, split, and labels_complete: eight flags such as 10111100, in the order of the road classes.
     """

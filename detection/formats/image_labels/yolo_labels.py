@@ -35,7 +35,7 @@ class YoloLabels:
 
 
 class YoloLabelReader:
-    """Reader of label files with one list of class names; None = those for `folder`, else the 8 road classes."""
+    """Reader of label files with one list of class names; None = the names for `folder`, else the 8 road classes."""
 
     def __init__(self, names: Sequence[str] | None, folder: Path | None = None) -> None:
         known = tuple(names) if names is not None else names_for_folder(folder) if folder is not None else ()

@@ -10,9 +10,9 @@ Ids count from 1, `frame_index` from 0. `bbox` has the corner convention: the le
 coordinates are 0.5 px larger than with pixel centres at integers. `attributes` has distance_m, sigma_m and predicted.
 `iscrowd` marks regions of many objects, which are not evaluated. When reading, the identity is `track_id` or
 `instance_id`, also in `attributes` (as CVAT writes it); the frame number is `frame_index`, `frame_id`, or the last
-number in `file_name`. Attributes may be texts: CVAT writes those of input type text so. Boxes with a true attribute
-outside are left out. (Lin et al., "Microsoft COCO", ECCV 2014, and https://cocodataset.org/#format-data; Dave et al.,
-"TAO", ECCV 2020, for videos.)
+number in `file_name`. Attributes may be texts, as CVAT writes attributes of the input type text. Boxes with a true
+attribute outside are left out. (Lin et al., "Microsoft COCO", ECCV 2014, and https://cocodataset.org/#format-data; Dave
+et al., "TAO", ECCV 2020, for videos.)
 """
 
 import json
@@ -172,7 +172,7 @@ class CocoFile:
         )
 
     def boxes(self, frame_of: Mapping[int | str, int]) -> tuple[list[CocoBox], int]:
-        """All annotations with width and height, and the number of the others; `frame_of` is a number by image id."""
+        """All annotations with width and height, and the number of others; `frame_of` has the frame by image id."""
         boxes, n_empty = [], 0
         for where, item in self._section("annotations"):
             image, category = self._id(item, "image_id", where), self._id(item, "category_id", where)
@@ -217,7 +217,7 @@ class CocoFile:
         return value
 
     def _identity(self, item: _Object, key: str, where: str) -> int:
-        """The number of an object, or of the first occurrence of its name, as in Waymo's ids, if all have names."""
+        """The number of an object; with names, as in Waymo's ids, the number of the first occurrence of its name."""
         name = item[key]
         is_named = isinstance(name, str) and 0 < len(name) <= _MAX_TEXT
         if is_named and not self._has_numbers:

@@ -15,9 +15,9 @@ score and predicted are optional; CVAT keeps those that the labels of its task d
 keyframe until the next one; distances are interpolated between keyframes instead. Tracks with the label dontcare are
 regions that are not evaluated.
 
-Written files list every box, and mark as keyframes those from which the others can be interpolated to 1 px or 2 % of
-the box, and to 2 % of the distance, so that a person has fewer boxes to correct. (CVAT's documentation, "XML annotation
-format", version 1.1; the interpolation is that of CVAT's `TrackManager`.)
+Written files list every box, and mark as keyframes the boxes from which all others can be interpolated to 1 px or 2 %
+of the box, and to 2 % of the distance, so that a person has fewer boxes to correct. (CVAT's documentation, "XML
+annotation format", version 1.1; the interpolation follows CVAT's `TrackManager`.)
 """
 
 import math
@@ -75,7 +75,7 @@ _Boxes = npt.NDArray[Any]  # (K,) boxes with the columns of `_BOX`
 
 
 def read_cvat(path: Path, video: VideoFacts) -> BoxTable:
-    """The boxes of all tracks, with those between two boxes of a track interpolated.
+    """The boxes of all tracks, including interpolated boxes between two boxes of a track.
 
     LabelFileError: the file cannot be read, is larger than `MAX_CVAT_BYTES`, is not in this format (such as "CVAT for
     images"), has a document type or entities, shapes other than upright boxes, or invalid values.
@@ -245,9 +245,9 @@ class _Content:
 
 
 def _interpolated(path: Path, boxes: _Boxes, tracks: Sequence[_Track], *, has_repeated: bool) -> _Boxes:
-    """The visible boxes of each track in every frame, from those of the file, sorted by track and frame.
+    """The visible boxes of each track in every frame, from the boxes of the file, sorted by track and frame.
 
-    If it `has_repeated` attributes, boxes that are not keyframes repeat those of the keyframe before.
+    If it `has_repeated` attributes, boxes that are not keyframes repeat the attributes of the keyframe before.
     """
     steps = np.append(np.where(np.diff(boxes["track"]) == 0, np.diff(boxes["frame"]), 1), 1)[: len(boxes)]
     for box in boxes[steps == 0][:1]:
@@ -275,7 +275,7 @@ def _interpolated(path: Path, boxes: _Boxes, tracks: Sequence[_Track], *, has_re
 
 
 def _interpolate_repeated(boxes: _Boxes) -> None:
-    """Interpolate the distances that repeat those of a keyframe, up to the next visible keyframe of the track."""
+    """Interpolate distances that repeat the distance of a keyframe, up to the next visible keyframe."""
     keyframes = np.flatnonzero(boxes["is_keyframe"] | boxes["is_outside"])
     for first, last in pairwise(keyframes.tolist()):
         between, start, end = boxes[first + 1 : last], boxes[first], boxes[last]
@@ -379,7 +379,7 @@ def _track_lines(rows: BoxTable, track_id: int, n_frames: int) -> Iterator[str]:
 
 
 def _keyframes(rows: BoxTable, is_last: BoolArray) -> BoolArray:
-    """(N,) which boxes of a track CVAT needs to interpolate the others; those before and after a gap are needed."""
+    """(N,) whether CVAT needs a box of a track to interpolate the others; boxes before and after a gap are needed."""
     values = np.column_stack([rows.xyxy_px, rows.distance_m])
     is_keyframe: BoolArray = is_last.copy()
     is_keyframe[1:] |= is_last[:-1] | np.diff(rows.observed) | np.diff(np.isnan(rows.distance_m))

@@ -128,7 +128,7 @@ class _Row(NamedTuple):
 
 
 def _rows(path: Path, *first: str) -> list[_Row]:
-    """The lines of a file that are not blank, after the cells that object labels do not have: frame and identity."""
+    """The non-blank lines of a file, preceded by the cells that object labels lack: frame and identity."""
     text = read_text(path, LabelFileError, "KITTI labels", max_bytes=MAX_TABLE_BYTES)
     cells_of = ((number, line.split()) for number, line in enumerate(text.split("\n"), 1))
     return [_Row(path, number, [*first, *cells], len(cells)) for number, cells in cells_of if cells]
@@ -170,7 +170,7 @@ def _labels(rows: list[_Row]) -> KittiLabels:
 
 
 def _numbers(texts: list[str]) -> list[float]:
-    """`numbers` of the texts, checked together in a third of the time where all are valid."""
+    """`numbers` of the texts; checking all texts together takes a third of the time if all are valid."""
     joined = "".join(texts)
     if joined.isascii() and "_" not in joined:
         with suppress(ValueError):

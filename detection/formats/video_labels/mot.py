@@ -132,7 +132,7 @@ def _cells(line: str) -> list[str]:
 
 
 def is_number_row(line: str) -> bool:
-    """Whether a line is a row of numbers in one of the layouts, or a comment, not of KITTI, whose rows have a type."""
+    """Whether a line is a row of numbers in one of the layouts or a comment; False for KITTI's rows with a type."""
     cells = _cells(line.partition("#")[0])
     is_number = not any(map(math.isnan, numbers(cells)))
     return line.startswith("#") or (is_number and ("," in line or ";" in line or 6 <= len(cells) <= 10))
@@ -173,7 +173,7 @@ def _layout_of(rows: NumberRows, form: str | None) -> str:
 
 
 def _layout_of_six(rows: NumberRows, form: str | None) -> str:
-    """frame,x1,y1,x2,y2,score or frame,id,x,y,w,h, by which of them almost all rows are valid boxes."""
+    """frame,x1,y1,x2,y2,score or frame,id,x,y,w,h, whichever makes almost all rows valid boxes."""
     values = rows.values
     are_corners = float(np.mean(are_valid_boxes(values[:, 1:5]))) >= _MIN_VALID
     is_size = (
@@ -192,7 +192,7 @@ def _layout_of_six(rows: NumberRows, form: str | None) -> str:
 
 
 def _is_ai_city(values: FloatArray) -> bool:
-    """Whether camera, identity and frame identify each row, and frame and identity in the places of MOT do not."""
+    """Whether the first three columns identify each row as camera, identity and frame, unlike MOT's columns."""
     keys = values[:, :3]
     if not are_integers(keys, 0, MAX_ID) or not (values[:, 5:7] > 1).all():
         return False
@@ -205,7 +205,7 @@ def _are_whole(values: FloatArray, low: float, high: float) -> BoolArray:
 
 
 def mot_rows(rows: NumberRows, *, n_frames: int | None = None, form: str | None = None) -> MotRows:
-    """The meaning of rows: frames, boxes, classes; raises their error for invalid frame numbers, ids or classes.
+    """Frames, boxes and classes of the rows; raises the error of `rows` for invalid frame numbers, ids or classes.
 
     Boxes and scores are not checked. `n_frames`: number of images of the video; `form`: "mot" or "rrc"; None = any.
     """

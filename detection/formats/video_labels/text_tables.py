@@ -156,7 +156,7 @@ def write_mot_table(table: BoxTable, path: Path) -> Written:
 def write_kitti_table(table: BoxTable, path: Path) -> Written:
     """Write a table as rows of KITTI tracking results; regions become DontCare.
 
-    The location is written where it is known; where only the distance is, it is the z of a location with unknown x
+    The location is written where it is known. Where only the distance is known, the location has that z and unknown x
     and y.
     """
     _write_frames(table, path, kitti_lines)

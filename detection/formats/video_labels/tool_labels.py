@@ -6,7 +6,7 @@ whose edges are the first and last pixel. Frames are given by number, or by the 
 
     BDD100K        https://doc.bdd100k.com/format.html, Scalabel's format: images (det_20) and videos (box_track_20)
     LabelMe        https://github.com/wkentaro/labelme, one file for each image; group_id is the identity
-    Label Studio   https://labelstud.io/guide/export, in per cent of the image; JSON, JSON-MIN and video
+    Label Studio   https://labelstud.io/guide/export, in per cent of the image; JSON, JSON-MIN and video labels
     VIA            https://www.robots.ox.ac.uk/~vgg/software/via, version 1 and 2, JSON, project or CSV
     Supervisely    https://docs.supervisely.com, annotations of images and videos
     CreateML, CSV  as Roboflow exports them: the centre and size of boxes; columns filename, class, xmin, ...
@@ -115,7 +115,7 @@ def _label_studio(content: Any) -> Iterator[_Box]:
 
 
 def _interpolated(value: _Object, identity: int, size_px: tuple[Any, Any]) -> Iterator[_Box]:
-    """The boxes of a track in a video, with those between two keyframes; frames count from 1."""
+    """The boxes of a track in a video, including boxes interpolated between two keyframes; frames count from 1."""
     if None in size_px:
         raise LabelFileError("expected original_width and original_height of the video, found none")
     scale = (float(size_px[0]) / 100, float(size_px[1]) / 100)
@@ -273,11 +273,11 @@ LAYOUTS: Mapping[str, Layout] = {
     "voc": Layout("Pascal VOC", r"^\s*<(\?xml[^>]*>\s*<)?annotation[\s>]", _voc, True),
     "detrac": Layout("UA-DETRAC", r"^\s*<(\?xml[^>]*>\s*<)?sequence[\s>]", _detrac),
 }
-"""By name; the order has no meaning, since at most one layout fits a file."""
+"""Layouts by name; their order has no meaning, since at most one layout fits a file."""
 
 
 def start_of(path: Path) -> str:
-    """The first 64 kB of a file, or of the first file of a folder with one for each image; "" if there is none."""
+    """The first 64 kB of a file, or of the first file in a folder with one file for each image; "" if there is none."""
     files = label_files(path) if path.is_dir() else [path]
     if not files:
         return ""

@@ -74,7 +74,7 @@ def is_yolo_folder(path: Path) -> bool:
 
 
 def read_yolo_folder(path: Path, video: VideoFacts) -> BoxTable:
-    """The boxes of a folder of label files; the image size is that of `video`, of data.yaml, or of the images.
+    """The boxes of a folder of label files; the image size is taken from `video`, data.yaml or the images.
 
     LabelFileError: the folder cannot be read, has no label files, or two for one frame; a row is invalid, has a
     polygon, or a class number without a name; or the image size is unknown.
@@ -151,7 +151,7 @@ def _score_and_identity(table: FloatArray, lines: Sequence[tuple[str, list[str]]
     """(N,) score, NaN if there is none, and (N,) identity, -1 if there is none, of rows (N, 7).
 
     Identities are in the last column if it has integers throughout, which scores are not. LabelFileError: rows of seven
-    columns do not end with an identity, as those of a triangle.
+    columns do not end with an identity, as for a triangle.
     """
     n_columns = np.array([len(cells) for _, cells in lines], np.int64)
     is_longer, is_full = n_columns > _N_BOX, n_columns == _N_COLUMNS

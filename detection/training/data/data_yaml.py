@@ -11,10 +11,10 @@
     pseudo_scores: thresholds   # use of their scores, or `probabilities`
     pseudo_names: [person, ...] # with probabilities: the classes that the detector knows; default: all names
 
-If an entry is another data.yaml, its images of the same split are used; they count as unlabelled for the classes that
-it does not name. Names that are not road classes are ignored. A pseudo-label that does not overlap a label is an object
-if its score is at least 0.5 (cars: 0.4) and its class is not completely labelled in the image; otherwise the box is
-ignored, so that a detection there is neither a true nor a false positive. With `pseudo_scores: probabilities`, each
+If an entry is another data.yaml, its images of the same split are used; they count as unlabelled for classes that this
+data.yaml does not name. Names that are not road classes are ignored. A pseudo-label that does not overlap a label is an
+object if its score is at least 0.5 (cars: 0.4) and its class is not completely labelled in the image; otherwise the box
+is ignored, so that a detection there is neither a true nor a false positive. With `pseudo_scores: probabilities`, each
 one of a class that is not completely labelled is an object whose confidence is its score, and the classes that the
 detector knows count as completely labelled. `detection.training.ensemble` makes such pseudo-labels.
 """
@@ -130,7 +130,7 @@ class TrainingData:
 
 @dataclass(frozen=True, slots=True)
 class OwnLabels:
-    """The images that the entries of a data.yaml list, with their labels alone, as fractions of the image size."""
+    """The images that the entries of a data.yaml list, with their own labels only, as fractions of the image size."""
 
     path: Path
     root: Path  # folder that paths in the file are relative to
@@ -154,8 +154,8 @@ class OwnLabels:
 def read_own_labels(path: Path) -> OwnLabels:
     """The images and labels of a data.yaml to which pseudo-labels can be added; pixels are not read.
 
-    LabelFileError, ImageFileError: as for `read_data_yaml`; or the labels are KITTI's, the pseudo-labels are
-    probabilities already, there are no training images, or two of them have the same name.
+    LabelFileError, ImageFileError: as for `read_data_yaml`; also if the labels are KITTI's, the pseudo-labels are
+    already probabilities, there are no training images, or two images have the same name.
     """
     reader = _Reader(path, frozenset(), is_alone=True)
     if reader.document.format == "kitti":
@@ -178,7 +178,7 @@ def read_own_labels(path: Path) -> OwnLabels:
 
 
 def read_data_yaml(path: Path, *, within: frozenset[Path] = frozenset()) -> TrainingData:
-    """The images and labels of a data.yaml; pixels are not read. LabelFileError or ImageFileError if one is invalid.
+    """The images and labels of a data.yaml; pixels are not read. LabelFileError or ImageFileError if a file is invalid.
 
     `within` are the files that refer to this one, directly or indirectly, to detect circular references.
     """
@@ -194,7 +194,7 @@ def read_data_yaml(path: Path, *, within: frozenset[Path] = frozenset()) -> Trai
 class _Reader:
     """Reader of the splits of one data.yaml, which collects notes for the user.
 
-    If it `is_alone`, images are read without pseudo-labels, and those of another data.yaml are left out.
+    If `is_alone`, images are read without pseudo-labels, and the images of another data.yaml are left out.
     """
 
     def __init__(self, path: Path, within: frozenset[Path], *, is_alone: bool = False) -> None:
@@ -222,7 +222,7 @@ class _Reader:
         return items
 
     def all_notes(self, train: list[LabelledImage], val: list[LabelledImage]) -> tuple[str, ...]:
-        """The notes so far, and one for each kind of note of the images, with the first example."""
+        """The notes so far, and one note with the first example for each kind of problem in the images."""
         listed = [note for item in (*train, *val) for note in item.notes]
         other = [note for note in listed if note != _BACKGROUND_NOTE]
         notes = list(dict.fromkeys(self._notes))
@@ -273,7 +273,7 @@ class _Reader:
         return [item for item in items if real_path(item.path) in listed]
 
     def _nested(self, path: Path, split: str) -> list[LabelledImage]:
-        """The same split of another data.yaml; classes that it does not name are marked as not labelled."""
+        """The same split of another data.yaml; classes that this data.yaml does not name are marked as not labelled."""
         if self._is_alone:
             self._notes.append(f"Left out the images of {path} for '{split}', which have separate pseudo-labels.")
             return []
@@ -320,7 +320,7 @@ class _Reader:
         return np.isin(np.arange(len(ROAD_CLASSES)), road)
 
     def pseudo_labels_of(self, item: LabelledImage) -> tuple[Path, YoloLabels]:
-        """The file of an image's pseudo-labels and its content; there are none if it does not exist."""
+        """The file of an image's pseudo-labels and its content, which is empty if the file does not exist."""
         file = self._folder(self.document.labels_pseudo or "") / f"{item.path.stem}.txt"
         if not file.is_file():
             return file, YoloLabels(np.zeros((0, 4)), np.zeros(0, np.int64), np.zeros(0), ())
@@ -329,8 +329,8 @@ class _Reader:
     def _with_pseudo_labels(self, item: LabelledImage, known: BoolArray | None) -> LabelledImage:
         """The image with its pseudo-labels added to its labels.
 
-        `known` (8,) are the classes that count as completely labelled with them, whose scores are probabilities; None =
-        scores are compared with thresholds.
+        `known` (8,) are the classes that count as completely labelled with pseudo-labels, whose scores are
+        probabilities; None = scores are compared with thresholds.
         """
         truth, is_soft = item.truth, known is not None
         file, pseudo = self.pseudo_labels_of(item)
@@ -352,12 +352,12 @@ class _Reader:
 
 
 def _first_of_each(items: Sequence[LabelledImage]) -> list[LabelledImage]:
-    """The images without repetitions, which lists of images use to draw rare ones more often."""
+    """The images without repetitions, by which lists of images draw rare images more often."""
     return list({real_path(item.path): item for item in reversed(items)}.values())[::-1]
 
 
 def _with_sitting_persons(item: LabelledImage) -> LabelledImage:
-    """The image with KITTI's Person_sitting, which its evaluation ignores, as persons."""
+    """The image with KITTI's Person_sitting as persons, although KITTI's evaluation ignores this type."""
     truth = item.truth
     if not are_valid_boxes(truth.xyxy_px).all():
         raise LabelFileError(f"{item.path}: labels: expected finite boxes with a positive width and height.")

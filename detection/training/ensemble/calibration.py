@@ -65,7 +65,7 @@ def samples(
 ) -> list[Samples]:
     """The samples of each road class, from fused boxes and labels of each image as fractions of its size.
 
-    `is_labelled` (8,) are the classes that the labels have; there are no samples of others.
+    `is_labelled` (8,) are the classes that the labels have; other classes have no samples.
     """
     listed = []
     for class_id in range(len(ROAD_CLASSES)):
@@ -83,7 +83,8 @@ def matches(fused: FusedBoxes, truth: ImageTruth, class_id: int) -> BoolArray:
 
     In order of decreasing best score, a box matches the label with which its IoU is largest, if that is at least 0.5
     and no better box matches this label. A box whose label is taken does not match another one, as it does in
-    `evaluation.matching` (COCO): of two boxes of one object, the worse is to be a negative sample, also in a crowd.
+    `evaluation.matching` (COCO): of two boxes of one object, the worse one should be a negative sample, even in a
+    crowd.
     """
     is_match = np.zeros(len(fused.xyxy), np.bool_)
     labels = truth.xyxy_px[(truth.class_id == class_id) & ~truth.is_ignored]
@@ -101,8 +102,9 @@ def matches(fused: FusedBoxes, truth: ImageTruth, class_id: int) -> BoolArray:
 def fit_calibration(by_class: Sequence[Samples], is_known: BoolArray) -> EnsembleCalibration | None:
     """Coefficients fitted to the samples of each road class; None if no class has enough matches.
 
-    A class with fewer than `MIN_POSITIVES` matches has the mean coefficients of the others; the weights of detectors
-    that do not know it are distributed over those that do. `is_known` (D, 8) are the classes that each detector knows.
+    A class with fewer than `MIN_POSITIVES` matches has the mean coefficients of the other classes; the weights of
+    detectors that do not know the class are distributed over the other detectors. `is_known` (D, 8) are the classes
+    that each detector knows.
     """
     n_positives = np.array([np.count_nonzero(boxes.is_match) for boxes in by_class])
     is_fitted = (n_positives >= MIN_POSITIVES) & is_known.any(axis=0)
@@ -122,7 +124,7 @@ def fit_calibration(by_class: Sequence[Samples], is_known: BoolArray) -> Ensembl
 
 
 def reliability(calibration: EnsembleCalibration, boxes: Samples, class_id: int) -> Reliability:
-    """Probabilities and matches of one class in `N_BINS` bins, of samples that should not be those of the fit."""
+    """Probabilities and matches of one class in `N_BINS` bins, from samples that were not used in the fit."""
     score = np.zeros((len(boxes.score), boxes.score.shape[1], len(ROAD_CLASSES)))
     score[:, :, class_id] = boxes.score
     p = calibration.probability(score)[:, class_id]
@@ -130,7 +132,7 @@ def reliability(calibration: EnsembleCalibration, boxes: Samples, class_id: int)
 
 
 def _is_detected(score: FloatArray) -> BoolArray:
-    """(K, 8) whether a detector's score (K, D, 8) of a class exceeds the lowest one."""
+    """(K, 8) whether a detector's score (K, D, 8) of a class exceeds the lowest score."""
     return np.asarray(score.max(axis=1, initial=0.0) > MIN_SCORE)
 
 

@@ -96,7 +96,7 @@ def pseudo_labels(
     """The pseudo-labels of one image; none of them overlaps a label by an IoU of more than 0.5.
 
     `xyxy` (K, 4) are fused boxes, as fractions of the image size, with probabilities by class (K, 8). `is_known` (8,)
-    are classes that a detector of the ensemble knows; its boxes of others are not used. `other` are detections of a
+    are classes that a detector of the ensemble knows; boxes of other classes are not used. `other` are detections of a
     detector that is not at hand; `min_probability` is for classes that are not completely labelled.
     """
     is_open = is_known & ~truth.is_complete
@@ -176,8 +176,8 @@ def label_training_images(
 ) -> PseudoLabelFigures:
     """Write the pseudo-labels of every training image to `out`, NAME.txt with lines `class cx cy w h probability`.
 
-    The boxes of all images but the `unreadable` ones must be stored (`views.store_missing`). `min_probability` is that
-    of pseudo-labels of classes that are not completely labelled; `progress` is called after each image. Raises
+    The boxes of all images except `unreadable` images must be stored (`views.store_missing`). `min_probability` applies
+    to pseudo-labels of classes that are not completely labelled; `progress` is called after each image. Raises
     LabelFileError: too few fused boxes match labels to fit probabilities, or the detectors know no class. Raises
     TrainingError: the boxes of an image are not stored, or a file cannot be written.
     """

@@ -61,7 +61,7 @@ class EnsembleMember:
     def __init__(self, path: Path, stored: Path, *, size_px: int | None = None, runtime: Runtime | None = None) -> None:
         """Load the network of the ONNX file `path`; `stored` is the folder for the boxes of all members.
 
-        `size_px` is the longer side of a network's input of variable size; None = that in the model file, else 640.
+        `size_px` is the longer side of a network's input of variable size; None = the size in the model file, else 640.
         """
         settings = YoloSettings(min_score=MIN_SCORE, max_iou=_MAX_IOU, max_boxes=_MAX_BOXES, size_px=size_px)
         self._detector = YoloDetector(path, settings, runtime=runtime)
@@ -100,7 +100,7 @@ class EnsembleMember:
         return ViewBoxes(numbers[:, :4], numbers[:, 4], rows[:, 5].astype(np.int64))
 
     def _file(self, image_file: Path) -> Path:
-        """The file of an image's boxes; its name depends on size and date, so that a replaced image has another."""
+        """The file of an image's boxes; its name contains the size and date of the image, which may be replaced."""
         version = ""
         with suppress(OSError):  # else the image cannot be read either
             stat = image_file.stat()

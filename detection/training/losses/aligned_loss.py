@@ -19,9 +19,9 @@ Task-aligned assignment of objects to the cells of an anchor-free network.
 
     a = s u^6        s: score of the object's class, u: IoU of the predicted box and the object, for every cell
 
-The 10 cells with the largest a among those whose centre is inside the object's box are its positives; the box of a cell
-of several objects is that of the one with the largest u. Around objects smaller than the finest cells, centres within
-one of these cells count as inside. The target of a positive's class score is
+The 10 cells with the largest a among those whose centre is inside the object's box are its positives; a cell of several
+objects gets the box of the object with the largest u. Around objects smaller than the finest cells, centres within one
+such cell count as inside. The target of a positive's class score is
 
     t = (a / largest a of the object) (largest u of the object)
 
@@ -87,7 +87,7 @@ def assign_aligned(
 
 
 def _is_largest(value: Tensor, key: Tensor) -> Tensor:
-    """(P,) whether a value (P,) is the largest one with the same key (P,); of equal ones, the last one is."""
+    """(P,) whether a value (P,) is the largest one with the same key (P,); of equal values, the last one is."""
     place = torch.argsort(torch.argsort(value, stable=True))  # of each value in the sorted order
     largest = torch.full((int(key.max()) + 1 if len(key) else 0,), -1, device=key.device)
     return place == largest.scatter_reduce(0, key, place, "amax")[key]

@@ -30,7 +30,7 @@ class Rows:
         return type(self)(*(getattr(self, name).to(device) for name in self.__slots__))
 
     def concatenate(self, other: Self) -> Self:
-        """These rows followed by the other ones."""
+        """These rows, followed by the rows of `other`."""
         return type(self)(*(torch.cat([getattr(self, name), getattr(other, name)]) for name in self.__slots__))
 
 
@@ -47,7 +47,7 @@ class LabelledObjects(Rows):
 
 @dataclass(frozen=True, slots=True)
 class Cells(Rows):
-    """P positive cells of one head, with an anchor each, and the object of each; (P,) int64 indices."""
+    """P positive cells of one head, each with its anchor and its object; (P,) int64 indices."""
 
     image: Tensor
     anchor: Tensor

@@ -1,11 +1,11 @@
-"""FeatureLoss: the loss by which a network's features imitate those of a teacher.
+"""FeatureLoss: the loss by which a network's features imitate the features of a teacher.
 
     loss = 2 * sum over P3, P4, P5 of mean over channels of (1 - r)
 
 r is Pearson's correlation, over all cells of a batch, of a channel of the teacher's neck and the same channel predicted
 from the student's neck by a 1x1 convolution. The convolutions are trained with the student and not exported. A teacher
-that was trained on far more images than the student thereby shows it every cell of every image, not only boxes; the
-correlation is independent of the scale of the features, so that levels and channels count equally.
+that was trained on far more images than the student thereby teaches the student every cell of every image, not only
+boxes; the correlation is independent of the scale of the features, so that levels and channels count equally.
 
 (Cao et al., "PKD: General Distillation Framework for Object Detectors via Pearson Correlation Coefficient", NeurIPS
 2022; the convolutions: Romero et al., "FitNets", 2015.)
@@ -39,8 +39,8 @@ class FeatureLoss(nn.Module):
     def forward(self, levels: Sequence[Tensor], images: Tensor) -> Tensor:
         """The loss of a batch of RGB images (B, 3, H, W) in 0..1.
 
-        `levels` are the features (B, n, rows, columns) of the student's neck at strides 8, 16, 32, and coarser ones,
-        which do not count.
+        `levels` are the features (B, n, rows, columns) of the student's neck at strides 8, 16, 32; coarser levels are
+        ignored.
         """
         pairs = zip(self.predictors, levels, self._teacher.features(images), strict=False)
         return _WEIGHT * torch.stack([(1 - correlation(own(level), of)).mean() for own, level, of in pairs]).sum()

@@ -60,7 +60,7 @@ class AnchorNetwork(DetectionNetwork):
         raise NotImplementedError
 
     def decode(self, raw: Sequence[Tensor]) -> Tensor:
-        """See `DetectionNetwork`; the order is that of YOLOv5's official export: by head, anchor, row and column."""
+        """See `DetectionNetwork`; ordered as in YOLOv5's official export, by head, anchor, row and column."""
         rows = []
         for head, stride_px, anchors_px in zip(raw, self.strides_px, self.anchors_px, strict=True):
             batch, n_anchors, n_rows, n_columns, _ = head.shape

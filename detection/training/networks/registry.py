@@ -45,7 +45,7 @@ NETWORKS: Mapping[str, NetworkKind] = {
 def make_network(
     name: str, n_classes: int, *, anchors_px: Anchors | None = None, has_cbam: bool = False
 ) -> DetectionNetwork:
-    """A network with random weights and, if it has anchors, its default ones unless `anchors_px` are given."""
+    """A network with random weights; if it has anchors, these are `anchors_px` or its default anchors."""
     kind = NETWORKS[name]
     if not kind.anchors_px:
         return kind.make(name, n_classes, has_cbam=has_cbam)
@@ -70,8 +70,8 @@ def mean_best_iou(sizes_px: FloatArray, anchors_px: FloatArray) -> float:
 def kmeans_anchors(sizes_px: FloatArray, n_anchors: int, rng: np.random.Generator) -> FloatArray:
     """(K, 2) anchors sorted by area, for box sizes (N, 2): the best of five runs. ValueError for fewer sizes than K.
 
-    k-means with the distance 1 - IoU (Redmon & Farhadi, "YOLO9000", CVPR 2017); the start is that of k-means++ (Arthur
-    & Vassilvitskii, SODA 2007).
+    k-means with the distance 1 - IoU (Redmon & Farhadi, "YOLO9000", CVPR 2017); the start is chosen as in k-means++
+    (Arthur & Vassilvitskii, SODA 2007).
     """
     n_sizes = len(np.unique(sizes_px, axis=0))
     if n_sizes < n_anchors:

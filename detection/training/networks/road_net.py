@@ -46,8 +46,8 @@ class RoadNet(DetectionNetwork):
     def forward(self, images: Tensor) -> list[Tensor]:
         """Raw outputs (B, rows, columns, classes + 4 bins) of each level for images (B, 3, H, W), RGB in 0..1.
 
-        The columns are the logits of the classes, then those of the bins of left, top, right and bottom. H and W must
-        be divisible by 32; the coarsest level has ceil(H / 64) rows.
+        The columns are the logits of the classes, then the logits of the bins of left, top, right and bottom. H and W
+        must be divisible by 32; the coarsest level has ceil(H / 64) rows.
         """
         return self.outputs(self.features(images))
 
@@ -96,7 +96,7 @@ def split_outputs(raw: Tensor) -> tuple[Tensor, Tensor]:
 def boxes_of(distances: Tensor, centre_px: Tensor, stride_px: Tensor) -> Tensor:
     """(..., 4) centre and size in pixels of boxes, from the distances (..., 4) of their sides in cells.
 
-    The sides are left, top, right, bottom; `centre_px` (..., 2) and `stride_px` (...) are those of the cells.
+    The sides are left, top, right, bottom; `centre_px` (..., 2) and `stride_px` (...) belong to the cells.
     """
     low, high = distances[..., :2] * stride_px[..., None], distances[..., 2:] * stride_px[..., None]
     return torch.cat([centre_px + (high - low) / 2, low + high], -1)

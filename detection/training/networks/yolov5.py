@@ -29,7 +29,7 @@ BODY_PREFIX = "body."  # prefix of the names of the weights of `YoloV5Body` in n
 
 
 class YoloV5Body(nn.Module):
-    """Backbone and path-aggregation neck; `n_channels` are those of the three levels of features."""
+    """Backbone and path-aggregation neck; `n_channels` are the channels of the three levels of features."""
 
     def __init__(self, scale: tuple[float, float], *, has_cbam: bool = False) -> None:
         super().__init__()

@@ -172,7 +172,7 @@ def _xml_values(text: str, path: Path, expected: str) -> dict[str, Any]:
 
 
 def _numpy_text(path: Path) -> str:
-    """The small arrays of an .npz or .npy file by name as JSON; null for others."""
+    """The small arrays of an .npz or .npy file by name as JSON; null for other arrays."""
     content = read_bytes(path, RigError, EXPECTED, max_bytes=_MAX_BYTES)
     try:
         if content.startswith(b"\x93NUMPY"):
@@ -197,7 +197,7 @@ def _numpy_text(path: Path) -> str:
 
 
 def _beside(path: Path) -> dict[str, Any]:
-    """The small arrays in the other .npy files of a folder, which are those of one calibration, by name."""
+    """The small arrays in the other .npy files of a folder, which form one calibration, by name."""
     arrays: dict[str, Any] = {}
     for file in sorted(path.absolute().parent.glob("*.npy"))[:_MAX_ARRAYS]:
         if file.is_file() and file.stat().st_size <= _MAX_ARRAY_BYTES:
@@ -236,7 +236,7 @@ def _matlab_text(path: Path) -> str:
 
 
 def _listed(value: Any) -> Any:
-    """Plain values of small arrays, structs and texts; None for others."""
+    """Plain values of small arrays, structs and texts; None for other values."""
     if isinstance(value, np.ndarray):
         is_small = value.size <= MAX_NUMBERS and value.dtype.kind in "iuf" and np.isfinite(value).all()
         return value.tolist() if is_small else None

@@ -1,4 +1,4 @@
-"""Files that complete a calibration: intrinsics and extrinsics, and those of the left and of the right camera."""
+"""Files that complete a calibration: intrinsics and extrinsics, and files of the left and of the right camera."""
 
 import re
 from collections.abc import Iterator
@@ -34,7 +34,7 @@ def partner_of(path: Path) -> Path | None:
 
 
 def is_second(path: Path) -> bool:
-    """Whether the name of a file, else of its folder, is that of a right camera, or of one with a larger number."""
+    """Whether the name of a file, else of its folder, belongs to a right camera or a camera with a larger number."""
     word, partner = _side_word(path), partner_of(path)
     is_after_zero = partner is not None and _side_word(partner).endswith("0")
     return word.lower() in ("right", "r") or word.endswith("2") or is_after_zero

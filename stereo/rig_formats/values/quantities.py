@@ -110,15 +110,15 @@ class Quantities(NamedTuple):
     names: dict[tuple[Side, str], str]  # key of each value
 
     def of(self, side: Side, quantity: str) -> Any:
-        """The value of a side, else of both; None if there is none."""
+        """The value of a side, else of both sides; None if there is none."""
         return self.values.get((side, quantity), self.values.get((None, quantity)))
 
     def has(self, *quantities: str) -> bool:
-        """Whether one of these is known of any side."""
+        """Whether one of these quantities is known for any side."""
         return any(quantity in quantities for _, quantity in self.values)
 
     def __or__(self, other: Quantities) -> Quantities:
-        """These quantities, completed by others."""
+        """These quantities, completed by `other`."""
         return Quantities(
             {**other.values, **self.values},
             tuple(dict.fromkeys((*self.keys, *other.keys))),
@@ -126,7 +126,7 @@ class Quantities(NamedTuple):
         )
 
     def of_one_side(self, side: str) -> Quantities:
-        """The quantities of a file of one camera as those of a side."""
+        """The quantities of a file of one camera, assigned to a side."""
         return self._replace(
             values={(side, quantity): value for (_, quantity), value in self.values.items()},
             names={(side, quantity): name for (_, quantity), name in self.names.items()},
@@ -221,7 +221,7 @@ def _named(path: tuple[str, ...], value: Any) -> tuple[Side, str | None]:
 
 
 def _direction(path: tuple[str, ...]) -> int | None:
-    """1 = from the first camera to the second by a key, -1 = the reverse, 0 = of others; None = no such key."""
+    """1 = from the first camera to the second by a key, -1 = reverse, 0 = of other cameras; None = no such key."""
     for key in path[:-1]:
         if match := _BETWEEN.fullmatch(_SEPARATORS.sub("", key.lower())):
             sides = [_side_of(_AROUND.fullmatch(word)) for word in match.groups()]
@@ -264,7 +264,7 @@ def _stored(value: dict[str, Any], name: str) -> FloatArray:
 
 
 def _numbers(value: Any) -> FloatArray | None:
-    """(N,) numbers of nested lists, of {x, y, z}, of a text or of a number; None for others."""
+    """(N,) numbers of nested lists, of {x, y, z}, of a text or of a number; None for other values."""
     try:
         return np.array(_NUMBERS.validate_python(list(_flat(value))), np.float64)
     except ValidationError:
