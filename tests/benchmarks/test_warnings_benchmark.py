@@ -17,9 +17,8 @@ from benchmarks.accuracy.warnings.warning_drives import (
     reliability,
     scene_drives,
 )
-from benchmarks.accuracy.warnings.warnings import draw_curve, draw_reliability, write_curve
+from benchmarks.accuracy.warnings.warnings import draw_curve, draw_reliability
 from benchmarks.harness import StoredResults
-from track_range.views.report.page import curve_figure
 
 NAN = float("nan")
 
@@ -105,13 +104,6 @@ def test_figures_of_the_curve(tmp_path):
     assert (tmp_path / "curve.svg").read_text(encoding="utf-8").count("false alarms per hour") >= 1
 
 
-def test_curve_for_the_report(tmp_path):
-    figures = curve_figures()
-    write_curve(tmp_path / "curve.json", figures, "Protocol.")
-    content = json.loads((tmp_path / "curve.json").read_text(encoding="utf-8"))
-    assert [line["name"] for line in curve_figure(content)["lines"]] == ["mono", "stereo", "fused"]
-
-
 def test_track_errors_add_up():
     one = TrackErrors(seconds=36.0, n_tracks=3, false_tracks=[[1.5, 1.0, 0.2, 0.5, 0.3]])
     figures = (one + TrackErrors(seconds=36.0, n_tracks=1)).figures()
@@ -142,9 +134,9 @@ def test_hours_and_curve_of_few_drives(tmp_path, monkeypatch):
         ("THRESHOLDS", (0.5,)),
     ):
         monkeypatch.setattr(warnings, name, value)
-    files = {name: tmp_path / name for name in ("parts.jsonl", "curve.svg", "curve.json")}
+    files = {name: tmp_path / name for name in ("parts.jsonl", "curve.svg")}
     few = "--only hours curve --hours 0.005 --errors 1 --first-seed 1"
-    paths = ["--parts", files["parts.jsonl"], "--figure", files["curve.svg"], "--report-curve", files["curve.json"]]
+    paths = ["--parts", files["parts.jsonl"], "--figure", files["curve.svg"]]
     figures = warnings.warnings(*few.split(), *map(str, paths))
     assert figures["hours"]["fused"]["hours"] > 0
     assert figures["curve"]["fused"]["default"]["contacts"] == 1

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from argparse import Namespace
 from collections.abc import Sequence
 from dataclasses import asdict
-from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -63,7 +61,6 @@ COLUMNS = ("false_alarms_per_hour", "median_lead_s", "fraction_with_2_1_s")  # c
     option("--jobs", default=1, metavar="N", help="number of processes"),
     option("--figure", type=Path, metavar="FILE", help="SVG file for the curve"),
     option("--reliability-figure", type=Path, metavar="FILE", help="SVG file for the reliability diagram"),
-    option("--report-curve", type=Path, metavar="FILE", help="JSON file of the curve for the report"),
     option("--parts", type=Path, metavar="FILE", help="file of cases, from which an interrupted benchmark continues"),
 )
 def warnings(options: Namespace) -> Figures:
@@ -131,13 +128,6 @@ def _curve(options: Namespace) -> Figures:
         draw_curve(figures, options.figure, lead_s=LEAD_S)
     if options.reliability_figure:
         draw_reliability(figures, options.reliability_figure)
-    if options.report_curve:
-        row = figures["fused"]["default"]
-        protocol = (
-            f"Simulated drives: {row['hours']:g} h of harmless driving in {len(HARMLESS_HOURS)} scenarios and "
-            f"{row['contacts']} drives that end in a contact, with the errors of the packaged detector and of stereo."
-        )
-        write_curve(options.report_curve, figures, protocol)
     return figures
 
 
@@ -174,17 +164,6 @@ def _real(options: Namespace) -> Figures:
 def curve_points(figures: Figures) -> dict[str, list[list[float]]]:
     """[false alarms per hour, median lead in s, fraction warned in time] by method, at rising thresholds."""
     return {methods: [[row[name] for name in COLUMNS] for row in part["points"]] for methods, part in figures.items()}
-
-
-def write_curve(path: Path, figures: Figures, protocol: str) -> None:
-    curve = {
-        "protocol": protocol,
-        "date": datetime.now(UTC).date().isoformat(),
-        "columns": ["false_alarms_per_hour", "median_lead_s", "share_warned_2_1_s"],
-        "methods": curve_points(figures),
-        "default": {methods: [part["default"][name] for name in COLUMNS] for methods, part in figures.items()},
-    }
-    path.write_text(json.dumps(curve, indent=1) + "\n", encoding="utf-8")
 
 
 def draw_curve(figures: Figures, path: Path, *, lead_s: float) -> None:

@@ -97,6 +97,31 @@ def test_tracks_far_outside() -> None:
     assert drawn(BirdsEye(), ranges={"fused": (5.0, 1.0)}, xyz_m=at(-1e12, 1e12)).shape == (157, 126, 3)
 
 
+def corner_of(inset: BirdsEye, box: list[float], time_s: float) -> tuple[bool, bool]:
+    """Whether the inset is at the right and at the bottom of a picture with a car in this box."""
+    inset.draw(grey(), result([box], time_s=time_s))
+    left, _, right, bottom = inset.place((1242, 374))
+    return right == 1242 and left > 0, bottom == 374
+
+
+def test_inset_moves_to_the_emptiest_corner_and_stays() -> None:
+    inset, near_left, near_right = BirdsEye(), [0.0, 150.0, 300.0, 370.0], [900.0, 150.0, 1240.0, 370.0]
+    assert corner_of(inset, BOX, 0.0) == (False, True)
+    assert corner_of(inset, near_left, 0.1) == (True, True)
+    assert corner_of(inset, near_right, 0.2) == (True, True)  # a move was less than 1 s ago
+    assert corner_of(inset, near_right, 1.2) == (False, True)
+    assert corner_of(inset, BOX, 3.0) == (False, True)
+    assert corner_of(inset, [0.0, 150.0, 1242.0, 370.0], 5.0) == (False, False)  # above both
+
+
+def test_road_users_stay_visible_in_the_inset() -> None:
+    inset, canvas, box = BirdsEye(), grey(), [20.0, 300.0, 60.0, 340.0]
+    inset.draw(canvas, result([box, [0.0, 0.0, 1242.0, 200.0], [900.0, 200.0, 1242.0, 374.0]]))
+    assert inset.place((1242, 374))[:2].tolist() == [0, 374 - 157]
+    assert (canvas[300:340, 20:60] == 128).all()
+    assert (canvas[350:370, 5:15] != 128).any()
+
+
 def test_small_image_has_no_inset() -> None:
     canvas = grey(100, 200)
     BirdsEye().draw(canvas, result([BOX], image=canvas))

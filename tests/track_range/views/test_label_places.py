@@ -92,6 +92,21 @@ def test_label_over_boxes_is_shortened_unless_urgent() -> None:
     assert placed([*wall, BOX], urgent=True)[0] == 0
 
 
+def test_labels_do_not_cover_nearer_road_users() -> None:
+    """The car in BOX is behind a lorry, which leaves no room for a label except to its right."""
+    lorry = [0.0, 0.0, 1100.0, float(HEIGHT)]
+    sizes_px = np.array([[[130.0, 46.0]] * 2, [[90.0, 20.0]] * 2])
+    free = {"occupied": np.zeros((0, 4)), "image_px": (WIDTH, HEIGHT)}
+    behind = LabelPlacer().place(
+        range(2), np.array([lorry, [1050.0, 150.0, 1080.0, 170.0]]), sizes_px, urgent=[False] * 2, **free
+    )
+    assert behind[1] is not None
+    assert behind[1][1][0] >= 1100
+    for urgent, expected in ((False, None), (True, 0)):
+        hidden = LabelPlacer().place(range(2), np.array([lorry, BOX]), sizes_px, urgent=[urgent] * 2, **free)
+        assert (hidden[1] and hidden[1][0]) == expected
+
+
 def test_label_larger_than_the_image() -> None:
     assert placed([[10.0, 10.0, 40.0, 30.0]], urgent=True, image_px=(100, 60)) == [1]
     assert placed([[10.0, 10.0, 40.0, 30.0]], urgent=True, image_px=(80, 60)) == [None]

@@ -2,8 +2,9 @@
 
 Boxes are solid if detected, dashed if predicted; corners inside a box mark the window of the patch matcher. Labels
 (`labels.py`) are placed near their boxes, inside the image and without overlap (`LabelPlacer`). A bird's-eye view
-(`birds_eye.py`) is at the lower left; the lines of the ego lane are drawn on the road. Labels of near tracks are placed
-first; without room for a full label only its first line is drawn, and without room for that none.
+(`birds_eye.py`) is in a corner; the lines of the ego lane are drawn on the road. Labels of near tracks are placed
+first and do not cover nearer road users; without room for a full label only its first line is drawn, and without room
+for that none.
 """
 
 from __future__ import annotations
@@ -88,7 +89,7 @@ class Overlay:
         if view is None and any("right_image" in one.needs and one.name in result.ranges for one in methods()):
             matched = [row for row in nearest_first[::-1] if observed[row]]
             draw_inner_windows(canvas, boxes[matched], [colours[row] for row in matched])
-        self._inset.draw(canvas, result)
+        self._inset.draw(canvas, result, boxes)
         self._draw_labels(canvas, result, boxes, nearest_first[:MOST_LABELS], colours)
         return canvas
 

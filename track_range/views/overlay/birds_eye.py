@@ -4,8 +4,8 @@ r"""BirdsEye: inset with a bird's-eye view of the road, to scale: positions of t
 | --- 40  |   a dot in its colour with a bar of one sigma in both directions along its ray; hollow = predicted; a ring
 |   |o    |   in amber or red = imminent collision. The range is one of `RANGES_M`: it grows immediately when a track
 | --|- 20 |   is farther, and shrinks when none has been for some seconds.
-|  \./    |
-+---------+
+|  \./    |   The inset is in the corner where it covers the fewest road users, and moves at most once per second; what
++---------+   it would cover of them stays visible.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from track_range.foundation.arrays import FloatArray, Image, IntArray
 from track_range.pipeline.colours import BLACK, GREY, WHITE, track_colour, warning_colour
 from track_range.pipeline.frame_result import FrameResult
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.views.overlay.labels import shared_areas, text_sizes_px
 
 Point = Sequence[int]
 RANGES_M = (30.0, 60.0, 90.0, 120.0)  # possible ranges of the inset in metres
@@ -29,6 +30,9 @@ _HEIGHT_FRACTION, _WIDTH_FRACTION = 0.42, 0.3  # largest height and width of the
 _ASPECT = 0.8  # width / height of the inset
 _EGO_MARGIN = 0.06  # fraction of the inset's height that is below the camera
 _N_LINES = 3  # marked distances
+_MOVE_INTERVAL_S = 1.0  # shortest time between two moves of the inset
+_MOVE_FRACTION = 0.02  # smallest fraction of the inset that a move makes free
+_CORNERS = np.array([(0, 1), (1, 1), (0, 0), (1, 0)])  # (4, 2) right and lower corners as 1, the preferred ones first
 _FAINT = (95, 95, 95)  # BGR colour of the grid
 
 
@@ -55,25 +59,38 @@ class BirdsEye:
     def __init__(self, camera: PinholeCamera | None = None) -> None:
         self.camera = camera
         self._scale = Scale()
+        self._corner, self._moved_s = 0, -np.inf  # index of `_CORNERS`, and the time of the latest move
         self._font = cv2.FontFace("sans")
         self._grids: dict[tuple[int, int, float], Image] = {}
 
     def place(self, image_px: tuple[int, int]) -> FloatArray:
-        """(4,) rectangle of the inset in an image (W, H), at the lower left; empty if the image is too small."""
-        width, height = image_px
-        inset_px = min(_HEIGHT_FRACTION * height, _WIDTH_FRACTION * width / _ASPECT)
-        inset_px = round(inset_px) if inset_px >= 60 else 0
-        return np.array([0, height - inset_px, round(_ASPECT * inset_px), height], np.float64)
+        """(4,) rectangle of the inset in an image (W, H) in its present corner; empty if the image is too small."""
+        return _places(image_px)[self._corner]
 
-    def draw(self, canvas: Image, result: FrameResult) -> None:
-        """Draw the inset of one frame."""
-        left, top, right, bottom = self.place((canvas.shape[1], canvas.shape[0])).astype(int).tolist()
+    def _move(self, image_px: tuple[int, int], boxes: FloatArray, time_s: float) -> None:
+        """Choose the corner where the inset covers the smallest area of the boxes, if that is worth a move."""
+        places = _places(image_px)
+        area_px2 = float(np.prod(places[0, 2:] - places[0, :2]))
+        covered_px2 = shared_areas(places, boxes)
+        best = int(np.argmin(covered_px2))
+        is_worth = covered_px2[self._corner] - covered_px2[best] > _MOVE_FRACTION * area_px2
+        if is_worth and time_s - self._moved_s >= _MOVE_INTERVAL_S:
+            self._corner, self._moved_s = best, time_s
+
+    def draw(self, canvas: Image, result: FrameResult, boxes: FloatArray | None = None) -> None:
+        """Draw the inset of one frame; `boxes` (N, 4) are those in the image, None = of the tracks."""
+        image_px = (canvas.shape[1], canvas.shape[0])
+        boxes = result.tracks.xyxy_px if boxes is None else boxes
+        boxes = boxes[np.isfinite(boxes).all(axis=1)]
+        self._move(image_px, boxes, result.frame.time_s)
+        left, top, right, bottom = self.place(image_px).astype(int).tolist()
         ground_m = self.ground_m(result)
         known = np.isfinite(ground_m).all(axis=1) & (ground_m[:, 1] > 0)
         self._scale.update(float(ground_m[known, 1].max(initial=0.0)), result.frame.time_s)
         inset = canvas[top:bottom, left:right]
         if not inset.size:
             return
+        before = inset.copy()
         np.right_shift(inset, 2, out=inset)
         cv2.max(inset, self._grid((bottom - top, right - left)), dst=inset)
         far_first = np.flatnonzero(known)[np.argsort(-ground_m[known, 1])]
@@ -82,6 +99,12 @@ class BirdsEye:
         marks = self._points(x_m[:, None] * bar, z_m[:, None] * bar, (bottom - top, right - left))
         for row, (centre, *ends) in zip(far_first.tolist(), marks.tolist(), strict=True):
             self._draw_track(inset, result, row, centre=centre, bar=ends)
+        outside_px = text_sizes_px(image_px)[2] + 1  # of the line of a box
+        covered = np.clip(
+            boxes + outside_px * np.array([-1, -1, 2, 2]) - [left, top, left, top], 0, 2 * max(inset.shape)
+        )
+        for x1, y1, x2, y2 in np.rint(covered).astype(int).tolist():
+            inset[y1:y2, x1:x2] = before[y1:y2, x1:x2]
 
     def ground_m(self, result: FrameResult) -> FloatArray:
         """(N, 3) x, z and sigma of z of each track in metres, from the fused or filtered distance; NaN = unknown."""
@@ -132,7 +155,7 @@ class BirdsEye:
         if not is_observed:
             cv2.circle(inset, centre, radius, BLACK, -1, cv2.LINE_AA)
         cv2.circle(inset, centre, radius, colour, -1 if is_observed else 1, cv2.LINE_AA)
-        cv2.line(inset, bar[0], bar[1], colour, 1, cv2.LINE_AA)
+        cv2.line(inset, bar[0], bar[1], colour, max(1, radius // 3), cv2.LINE_AA)
 
     def _points(self, x_m: FloatArray, z_m: FloatArray, inset_hw: tuple[int, int]) -> IntArray:
         """(..., 2) pixels in an inset (H, W) of points; clipped far outside, as drawing takes 16-bit pixels."""
@@ -140,3 +163,13 @@ class BirdsEye:
         px_per_m, limit = (1 - _EGO_MARGIN) * height / self._scale.range_m, 5.0 * max(inset_hw)
         pixels = np.stack([width / 2 + x_m * px_per_m, (1 - _EGO_MARGIN) * height - z_m * px_per_m], axis=-1)
         return np.rint(np.clip(pixels, -limit, limit)).astype(np.int64)
+
+
+def _places(image_px: tuple[int, int]) -> FloatArray:
+    """(4, 4) rectangles of the inset in the `_CORNERS` of an image (W, H), the upper ones below a line of text."""
+    width, height = image_px
+    inset_px = min(_HEIGHT_FRACTION * height, _WIDTH_FRACTION * width / _ASPECT)
+    size_px = np.round(np.array([_ASPECT, 1.0]) * (round(inset_px) if inset_px >= 60 else 0))
+    text_px = text_sizes_px(image_px)[1] * 5 // 4 + 2
+    corner = _CORNERS * (np.array(image_px) - size_px) + (1 - _CORNERS) * np.array([0, text_px])
+    return np.hstack([corner, corner + size_px])

@@ -28,7 +28,7 @@ CLOSING_SHOWN_MPS = 0.5  # smallest closing speed that is shown; slower ones are
 TTC_SHOWN_S = 30.0  # longest time to collision that is shown, in seconds; beyond it only the closing speed is shown
 BAR_S = 8.0  # time to collision in seconds at which its bar is empty; at 0 s it is full
 LONGEST_NAME = 24  # longest class name that is shown in full, in characters
-_MARGIN_PX, _STRIPE_PX = 6, 3  # left margin of the text, and width of the stripe in the colour of the track
+_MARGIN_PX = 6  # smallest left margin of the text; the stripe in the colour of the track has half of it
 _N_CACHED_WIDTHS = 4096  # number of texts whose widths are cached
 _LEAST_ASPECT = 0.75  # largest height / width of an image (4:3) up to which the text size follows the height
 BOLD, REGULAR = 700, 450  # font weights, 100..900
@@ -155,7 +155,7 @@ class TextRenderer:
         sizes = []
         for lines in labels:
             widths_px = [sum([self._width_px(span.text, span.size_px, span.weight) for span in line]) for line in lines]
-            sizes.append((max(widths_px) + 6.0, sum(map(line_height_px, lines)) + 2.0))
+            sizes.append((max(widths_px) + _margin_px(lines), sum(map(line_height_px, lines)) + 2.0))
         return np.array(sizes, np.float64).reshape(-1, 2)
 
     def write(self, canvas: Image, lines: Lines, place: FloatArray, *, stripe: Bgr | None = None) -> None:
@@ -163,16 +163,17 @@ class TextRenderer:
         left, top, right, bottom = np.rint(place).astype(int).tolist()
         background = canvas[top:bottom, left:right]
         np.right_shift(background, 2, out=background)
+        margin, stripe_px = _margin_px(lines), _margin_px(lines) // 2
         if stripe is not None:
-            cv2.rectangle(canvas, (left, top), (left + _STRIPE_PX - 1, bottom - 1), stripe, -1)
+            cv2.rectangle(canvas, (left, top), (left + stripe_px - 1, bottom - 1), stripe, -1)
         for line in lines:
             height = line_height_px(line)
-            self._write_line(canvas, line, (left + _MARGIN_PX, top))
-            if line[0].fill is not None and (filled := round(line[0].filled * (right - left - _STRIPE_PX))):
-                bar = canvas[top + 1 : top + height + 1, left + _STRIPE_PX : left + _STRIPE_PX + filled]
+            self._write_line(canvas, line, (left + margin, top))
+            if line[0].fill is not None and (filled := round(line[0].filled * (right - left - stripe_px))):
+                bar = canvas[top + 1 : top + height + 1, left + stripe_px : left + stripe_px + filled]
                 cv2.rectangle(bar, (0, 0), (filled, height), line[0].fill, -1)
                 on_bar = BLACK if line[0].fill == AMBER else WHITE
-                self._write_line(bar, line, (_MARGIN_PX - _STRIPE_PX, -1), bgr=on_bar)
+                self._write_line(bar, line, (margin - stripe_px, -1), bgr=on_bar)
             top += height
 
     def _write_line(self, canvas: Image, line: Line, corner: tuple[int, int], *, bgr: Bgr | None = None) -> None:
@@ -187,6 +188,10 @@ class TextRenderer:
     def _new_width_px(self, text: str, size_px: int, weight: int) -> int:
         box = cv2.getTextSize((0, 0), text, (0, 0), self._font, size_px, weight)
         return int(box[2]) + size_px // 2
+
+
+def _margin_px(lines: Lines) -> int:
+    return max(_MARGIN_PX, lines[0][0].size_px // 4)
 
 
 def line_height_px(line: Line) -> int:
@@ -210,8 +215,9 @@ class LabelPlacer:
 
     Labels are placed greedily in the given order. Each gets the free candidate position of the lowest cost: the area of
     boxes it covers, plus a term that grows along the list of candidates (near ones first), minus a bonus for the
-    position in the previous frame, so that labels do not jump. A label without a free position, or at a high cost, is
-    shortened; if that does not help either, it is omitted.
+    position in the previous frame, so that labels do not jump. Boxes before its own, of nearer road users, are not
+    free. A label without a free position, or at a high cost, is shortened; if that does not help either, it is omitted,
+    or, if it is urgent, covers nearer road users.
     """
 
     def __init__(self) -> None:
@@ -237,13 +243,16 @@ class LabelPlacer:
         full = _candidates(boxes, sizes_px[0], image_px, [previous.get((0, track_id)) for track_id in ids])
         for i, track_id in enumerate(ids):
             places, costs = full[0][i], full[1][i]
-            size, number = 0, free_place(places, costs, occupied)
+            closed = np.vstack([occupied, boxes[:i]])
+            size, number = 0, free_place(places, costs, closed)
             if number is None or (not urgent[i] and costs[number] > _MAX_COST * sizes_px[0, i].prod()):
                 last = [previous.get((1, track_id))]
                 short = [part[0] for part in _candidates(boxes, sizes_px[1, i : i + 1], image_px, last, row=i)]
-                short_number = free_place(short[0], short[1], occupied)
+                short_number = free_place(short[0], short[1], closed)
                 if short_number is not None and (number is None or short[1][short_number] < costs[number]):
                     size, number, places = 1, short_number, short[0]
+            if number is None and urgent[i]:
+                number = free_place(places, costs, occupied)
             if number is not None:
                 self._previous[size, track_id] = number
                 occupied = np.vstack([occupied, places[number]])
