@@ -32,7 +32,6 @@ from track_range.evaluation.sequences.labelled_images import LabelledSource
 from track_range.ranging.registry import methods
 
 IMAGES = Path(__file__).with_name("images")
-README_PICTURE = Path(__file__).resolve().parents[1] / ".github" / "demo.webp"
 
 FOCAL_PX, BASELINE_M, CAMERA_HEIGHT_M = 721.5, 0.54, 1.65
 """KITTI's left colour camera, as in the simulation."""
@@ -246,13 +245,13 @@ def distance() -> None:
 
 
 def moving() -> None:
-    """The overlay of a calm highway as a moving picture for the README, of less than 1.5 MB."""
+    """The overlay of a calm highway as a moving picture of less than 1.5 MB."""
     frames, capture = [], cv2.VideoCapture(str(_highway() / "overlay.mp4"))
     while (read := capture.read())[0]:
         small = cv2.resize(read[1], None, fx=0.7, fy=0.7, interpolation=cv2.INTER_AREA)
         frames.append(Image.fromarray(small[:, :, ::-1]))
     first, *rest = frames
-    first.save(README_PICTURE, save_all=True, append_images=rest, duration=100, loop=0, quality=45, method=6)
+    first.save(IMAGES / "moving.webp", save_all=True, append_images=rest, duration=100, loop=0, quality=45, method=6)
 
 
 def overlay() -> None:

@@ -22,6 +22,7 @@ from tests.documentation.documented_commands import (
     track_range_commands,
 )
 from track_range.cli.app import app
+from track_range.foundation.schema_version import SCHEMA_VERSION
 from track_range.results.columns import result_columns
 from track_range.results.events.event import EVENT_COLUMNS, EVENT_KINDS
 from track_range.results.summary_shape import _SUMMARY
@@ -57,6 +58,16 @@ def test_command_exists(page, line):
     _, command, rest = command_of(line)
     assert not hasattr(command, "commands") or rest == ["--version"], "no such command"
     assert {word for word in rest if OPTION.fullmatch(word)} <= options_of(command) | {"--help"}
+
+
+def test_versions_agree():
+    version = tomllib.loads((PROJECT / "pyproject.toml").read_text())["project"]["version"]
+    assert yaml.safe_load((PROJECT / "CITATION.cff").read_text())["version"] == version
+    heading = re.search(r"^## (.*)$", (PROJECT / "CHANGELOG.md").read_text(), re.MULTILINE)[1]
+    assert re.fullmatch(rf"{re.escape(version)} \((unreleased|\d{{4}}-\d\d-\d\d)\)", heading)
+    current = re.findall(r"^\| (\d+) \| ([\d.]+) \|", PAGES["docs/reference/schema.md"], re.MULTILINE)[-1]
+    assert current[0] == str(SCHEMA_VERSION)
+    assert version.startswith(current[1])
 
 
 def test_help_of_fleets_names_no_refused_option():
@@ -98,6 +109,21 @@ def test_linked_files_exist(page):
     assert [link for link in links if not (folder / link).exists()] == []
 
 
+def test_figures_of_the_readme_are_those_of_their_protocol():
+    section = README.partition("## Accuracy")[2].partition("\n## ")[0]
+    rows = re.findall(r"^\| \[([^]]+)\]\((\S+?)#(\S+)\) \|(.*)$", section, re.MULTILINE)
+    assert len(rows) >= 7
+    for name, page, anchor, figures in rows:
+        headings = re.split(r"^(?=## )", PAGES[page], flags=re.MULTILINE)
+        (protocol,) = (part for part in headings if re.sub(r"\W+", "-", part.split("\n")[0][3:].lower()) == anchor)
+        missing = [
+            figure
+            for figure in re.findall(r"\d+(?:\.\d+)?", figures)
+            if figure not in re.findall(r"\d+(?:\.\d+)?", protocol)
+        ]
+        assert missing == [], name
+
+
 def test_make_targets_exist():
     makefile = (PROJECT / "Makefile").read_text()
     named = {line.split()[1] for text in PAGES.values() for line in commands(text) if line.startswith("make ")}
@@ -108,7 +134,8 @@ def test_make_targets_exist():
 def test_extras_exist():
     project = tomllib.loads((PROJECT / "pyproject.toml").read_text())["project"]
     extras = {extra for text in PAGES.values() for extra in re.findall(r"\.\[(\w+)\]", text)}
-    assert {"docs", "train"} <= extras <= set(project["optional-dependencies"])
+    assert extras == set(project["optional-dependencies"])
+    assert set(re.findall(r"\.\[(\w+)\]", README)) == extras - {"bench", "dev", "docs"}
     assert "Python 3.11 or newer" in README
     assert project["requires-python"] == ">=3.11"
 
@@ -170,7 +197,11 @@ def test_navigation_has_every_page():
     # Tags of Python objects are not needed here.
     text = re.sub(r"!!python/\S+", "", (PROJECT / "mkdocs.yml").read_text())
     pages = [page for group in yaml.safe_load(text)["nav"] for entries in group.values() for page in paths(entries)]
-    assert sorted(f"docs/{page}" for page in pages) == [page for page in PAGES if page.startswith("docs/")]
+    notebooks = [path.relative_to(PROJECT).as_posix() for path in (PROJECT / "docs").rglob("*.ipynb")]
+    written = [page for page in PAGES if page.startswith("docs/")] + [
+        f"{name.removesuffix('.ipynb')}.md" for name in notebooks
+    ]
+    assert sorted(f"docs/{page}" for page in pages) == sorted(written)
 
 
 def test_pages_load_nothing_from_the_network():

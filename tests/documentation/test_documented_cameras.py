@@ -1,4 +1,4 @@
-"""The commands of docs/start/camera.md, "Your camera", with the files that these cameras and programs write."""
+"""The commands of docs/how-to/camera-files.md with the files that these cameras and programs write."""
 
 from __future__ import annotations
 
@@ -81,4 +81,4 @@ def test_command_of_a_camera(tmp_path: Path, pair: tuple[Pair, StereoRig], line:
 
 
 def test_commands_are_documented() -> None:
-    assert set(CAMERAS) <= set(commands(PAGES["docs/start/camera.md"]))
+    assert set(CAMERAS) <= set(commands(PAGES["docs/how-to/camera-files.md"]))

@@ -181,7 +181,7 @@ app = lazy_app(
     examples=(
         "track-range demo",
         "track-range --stereo left.mp4 right.mp4 --rig rig.yaml",
-        "track-range --mono dashcam.mp4 --focal-px 1150 --detector yolov5n.onnx",
+        "track-range --mono dashcam.mp4 --focal-px 1150",
     ),
 )
 

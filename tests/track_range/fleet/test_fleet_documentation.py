@@ -63,6 +63,17 @@ def test_query_of_events(results):
     assert per_hour == pytest.approx(2 / results["video_h"])
 
 
+def test_page_of_queries(results, capsys):
+    pytest.importorskip("duckdb")
+    names = {}
+    for code in python_blocks(PAGES["docs/how-to/duckdb.md"]):
+        exec(compile(code, "duckdb.md", "exec"), names)  # noqa: S102 - our own text
+    closest = {row[0]: row[1:3] for row in names["closest"].fetchall()}
+    assert closest["car"] == (min(row["distance_m"] for row in results["closest"]), results["closest"][0]["clip"])
+    printed = capsys.readouterr().out
+    assert all(word in printed for word in ("hours", "error_kind", "reason"))
+
+
 def test_pandas_queries(results):
     pytest.importorskip("pandas")
     names = run_block("pandas")

@@ -279,5 +279,5 @@ def test_documented_queries(run_file: Path, page: str) -> None:
         else:
             exec(compile(ast.Module([step], []), page, "exec"), names)  # noqa: S102
     sql, series = results
-    assert dict(zip(sql.fetchdf()["track_id"], sql.fetchdf()["closest_m"], strict=True))[3] == 12.0
-    assert series[3] == 12.0
+    assert dict(zip(sql.fetchdf()["track_id"], sql.fetchdf()["closest_m"], strict=True))[3] == 12.5
+    assert series[3] == 12.5
