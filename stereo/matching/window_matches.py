@@ -25,7 +25,7 @@ import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
 from track_range.foundation.arrays import FloatArray, FloatArray32, IntArray
-from track_range.stereo.matching.tiles import MARGIN_PX, N_SIDE, N_WINDOWS, BoxTiles, Grey, window_sums
+from track_range.stereo.matching.tiles import MARGIN_PX, N_CELLS, N_SIDE, N_WINDOWS, BoxTiles, Grey
 
 Census = npt.NDArray[np.uint32]
 _REACH_PX = 2  # half the side of the census window, px
@@ -74,9 +74,16 @@ def window_costs(tiles: BoxTiles) -> FloatArray32:
         part = right[first : first + len(differing)]
         np.bitwise_xor(left, part, out=differing[: len(part)])
         np.bitwise_count(differing[: len(part)], out=row_pairs[first : first + len(part)])
-    bits = row_pairs.reshape(n_disparities, height // 2, width, n).astype(np.float32)
-    cost = window_sums(bits, (cell_height // 2, cell_width))
-    cost *= np.float32(1 / tiles.shape.window_px)
+    bits = row_pairs.reshape(n_disparities, height // 2, -1)
+    cells = bits if cell_height == 2 else bits[:, 0::2] + bits[:, 1::2]
+    columns = (cells[:, :-1] + cells[:, 1:]).astype(np.uint16)  # of windows, in bytes until here: at most 4 x 48 bits
+    columns = columns.reshape(n_disparities * N_SIDE, N_CELLS, -1)
+    if cell_width == 6:
+        columns = columns[..., : 3 * n] + columns[..., 3 * n :]
+    sums = columns[..., :n] + columns[..., n : 2 * n]
+    sums += columns[..., 2 * n :]
+    cost = (sums[:, :-1] + sums[:, 1:]) * np.float32(1 / tiles.shape.window_px)
+    cost = cost.reshape(n_disparities, N_SIDE, N_SIDE, n)
     strip = tiles.is_seen[MARGIN_PX:-MARGIN_PX]
     if not strip.all():  # NaN where the window is not entirely in the right image
         n_seen = np.cumsum(np.concatenate([np.zeros_like(strip[:1], np.int64), strip]), axis=0)
