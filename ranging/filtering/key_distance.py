@@ -84,5 +84,5 @@ class KeyDistance(NamedTuple):
 
     def started(self, state: ConstantVelocity, is_key: BoolArray) -> KeyDistance:
         """The state with copies of the distances where this frame becomes the key frame."""
-        new = (state.x, *map(np.nan_to_num, (state.P_xx, state.P_xv, state.P_xx)))
+        new = (state.x, *(np.where(np.isnan(part), 0.0, part) for part in (state.P_xx, state.P_xv, state.P_xx)))
         return KeyDistance(*(np.where(is_key, *pair) for pair in zip(new, self, strict=True)))

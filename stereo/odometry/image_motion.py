@@ -232,7 +232,7 @@ def fit_epipolar(
         rotation = np.asarray(cv2.Rodrigues(step[:3])[0] @ rotation, np.float64)
         if n == 5:
             t = t + tangents.T @ step[3:]
-            t = t / np.linalg.norm(t)
+            t = t / math.sqrt(t @ t)
     residual = _sampson(*pair, rotation, t)[0]
     covariance = np.linalg.inv(information)
     # The epipolar lines of t and -t are the same, but the points move as by one of them.
@@ -266,7 +266,7 @@ def _sampson(
     line, back = across @ q, -across @ now  # p'^T [t]x q = p' . line = q . back
     scale = np.sqrt(line[0] ** 2 + line[1] ** 2 + back[0] ** 2 + back[1] ** 2) + 1e-9
     first = across @ np.array([0.0, 1.0, 0.0] if abs(t[1]) < 0.9 else [1.0, 0.0, 0.0])
-    first = first / np.linalg.norm(first)
+    first = first / math.sqrt(first @ first)
     tangents = np.array([first, across @ first])
     jacobian = np.concatenate([_cross(q, back), tangents @ _cross(q, now)]) / scale
     return np.asarray((now * line).sum(axis=0) / scale, np.float64), jacobian, tangents
