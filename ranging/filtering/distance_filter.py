@@ -233,10 +233,7 @@ class DistanceFilters:
         dt = np.fmax(time_s - last.time_s, 0.0)  # 0 for a new track
         w_b = 0.0 if cut is None else (0.0 if math.isnan(yaw_rad_s) else yaw_rad_s) * cut.bearing
         ego_mps = ego_speed_mps - w_b * np.where(np.isnan(last.d), np.fmax(z, 0.0), last.d)
-        dV = ego_mps - last.ego_mps
-        dV = np.where(np.isnan(dV), 0.0, dV)  # 0 if the ego speed was or is unknown
-        ego_variance = 0.0 if math.isnan(ego_sigma_mps) else ego_sigma_mps**2
-        dV_variance = np.where(dV == 0, 0.0, 2 * ego_variance * -np.expm1(-dt / _EGO_CORRELATION_S))
+        dV, dV_variance = _speed_step(ego_mps - last.ego_mps, ego_sigma_mps, dt) if is_ego_known else (_Z, _Z)
         state, side, q = (
             ConstantVelocity(*last[:5]),
             SideState._make(getattr(last, name) for name in SideState._fields),
@@ -260,10 +257,13 @@ class DistanceFilters:
         )
         P_vv = state.P_vv + dV_variance
         key = KeyDistance(np.where(is_side, np.nan, last.r), last.P_dr, last.P_vr, last.P_rr).predicted(dt)
-        static_mps = models.start_sigma_mps(classes, 0.0, np.sqrt(np.fmax(last.systematic, 0.0)) * ego_mps)
-        # A static model that follows a moving object is no longer static: no object changes to it.
-        is_moving = np.abs(v + ego_mps) > settings.outlier_sigma * static_mps
-        weight = models.predicted(last.weight, prior * ~(models.is_static & is_moving), dt)
+        possible = prior
+        if is_ego_known:
+            static_mps = models.start_sigma_mps(classes, 0.0, np.sqrt(np.fmax(last.systematic, 0.0)) * ego_mps)
+            # A static model that follows a moving object is no longer static: no object changes to it.
+            is_moving = np.abs(v + ego_mps) > settings.outlier_sigma * static_mps
+            possible = prior * ~(models.is_static & is_moving)
+        weight = models.predicted(last.weight, possible, dt)
         joins = np.isnan(last.ego_mps) & is_ego_known & settings.learns_noise  # the ego speed was unknown
         if joins.any():
             weight = np.where(joins & (last.weight[:, :1] == 0), prior, weight)
@@ -280,8 +280,9 @@ class DistanceFilters:
             condition[i] = np.where(valid[i], code, condition[i])
         hidden = np.where(valid, 0.0 if is_hidden is None else is_hidden, last.is_hidden)
         may_step = is_changed | (hidden != last.is_hidden)
-        step = np.where(may_step & np.isfinite(d), d * d * (last.systematic + systematic), 0.0)
-        P_dd, key = P_dd + step, key.stepped(d, step)
+        if may_step.any():
+            step = np.where(may_step & np.isfinite(d), d * d * (last.systematic + systematic), 0.0)
+            P_dd, key = P_dd + step, key.stepped(d, step)
         steady_since_s = np.where(is_changed, time_s, last.steady_since_s)
 
         # Gate.
@@ -409,6 +410,13 @@ class DistanceFilters:
             for i, name in enumerate(self._methods)
             if name in by_method
         }
+
+
+def _speed_step(dV: FloatArray, ego_sigma_mps: float, dt: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Changes dV of the ego speed in the times dt, 0 where it was unknown (NaN), and their variances."""
+    variance = 0.0 if math.isnan(ego_sigma_mps) else 2 * ego_sigma_mps**2
+    dV = np.where(np.isnan(dV), 0.0, dV)
+    return dV, np.where(dV == 0, 0.0, variance * -np.expm1(-dt / _EGO_CORRELATION_S))
 
 
 def time_to_collision(
