@@ -9,11 +9,14 @@ from typing import Any, NamedTuple
 
 import onnxruntime as ort
 
+from track_range.detection.models.dequantize import float_network
 from track_range.detection.models.devices import ACCELERATORS, Device
 from track_range.foundation.files.cache_folder import cache_folder
 from track_range.foundation.files.input_files import shortened
 from track_range.foundation.processes import n_limited_cores
 
+# Without kernels for INT8; TensorRT has FP16. The packaged detector takes 3.2 ms with CUDA instead of 11.1 (H200).
+_IN_FLOAT = ("cuda", "tensorrt", "coreml")
 _KINDS = ("GPU", "CPU", "NPU")  # of hardware, for a provider that supports several; the preferred one first
 _MAX_REASON = 160  # characters of a library's message
 
@@ -77,14 +80,15 @@ def _session(path: Path, devices: list[str], n_threads: int) -> Any:
     options.log_severity_level = 4  # failures are reported by our exceptions and notes
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.enable_mem_pattern = devices[0] != "directml"  # which does not support it
+    network = float_network(path) or str(path) if devices[0] in _IN_FLOAT else str(path)
     if devices[0] in ("cuda", "tensorrt"):
         _load_cuda()
     if plugin := _plugin_devices(devices[0]):
         options.add_provider_for_devices(plugin[:1], {})
-        return ort.InferenceSession(str(path), options, enable_fallback=0)
+        return ort.InferenceSession(network, options, enable_fallback=0)
     providers = [(ACCELERATORS[name].provider, _options(name)) for name in devices[:-1]]
     return ort.InferenceSession(
-        str(path), options, providers=[*providers, ("CPUExecutionProvider", {})], enable_fallback=0
+        network, options, providers=[*providers, ("CPUExecutionProvider", {})], enable_fallback=0
     )
 
 

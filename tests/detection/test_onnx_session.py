@@ -11,6 +11,7 @@ from onnx import TensorProto, helper
 
 from tests.detection.onnx_models import write_dfine, write_model, write_rectangle_finder
 from track_range.detection.models import devices, providers
+from track_range.detection.models.dequantize import float_network
 from track_range.detection.models.onnx_session import ModelError, OnnxSession, Runtime
 
 
@@ -222,6 +223,34 @@ def test_a_provider_of_a_separate_package(tmp_path, monkeypatch):
     monkeypatch.setattr(ort, "get_ep_devices", list)
     assert providers.why_missing("openvino") == "ep-package supports no hardware of this machine"
     providers._is_registered.cache_clear()
+
+
+def test_networks_of_int8_are_float_on_gpus(tmp_path, monkeypatch, cpu_session):
+    """A weight per channel and an input, rounded: 1 x 2 x 4 -> channels times 0.5 and -1.5."""
+    half = [
+        helper.make_tensor("s", TensorProto.FLOAT, [2], [0.25, 0.5]),
+        helper.make_tensor("z", TensorProto.INT8, [2], [0, 1]),
+    ]
+    one = [helper.make_tensor("a", TensorProto.FLOAT, [], [0.5]), helper.make_tensor("b", TensorProto.INT8, [], [0])]
+    weight = helper.make_tensor("w", TensorProto.INT8, [2, 1, 1, 1], [2, -2])
+    nodes = [
+        helper.make_node("QuantizeLinear", ["images", "a", "b"], ["q"]),
+        helper.make_node("DequantizeLinear", ["q", "a", "b"], ["x"]),
+        helper.make_node("DequantizeLinear", ["w", "s", "z"], ["v"], axis=0),
+        helper.make_node("Conv", ["x", "v"], ["out"]),
+    ]
+    image = helper.make_tensor_value_info("images", TensorProto.FLOAT, (1, 1, 1, 4))
+    out = helper.make_tensor_value_info("out", TensorProto.FLOAT, (1, 2, 1, 4))
+    graph = helper.make_graph(nodes, "g", [image], [out], [*half, *one, weight])
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8)
+    path = tmp_path / "m.onnx"
+    path.write_bytes(model.SerializeToString())
+    monkeypatch.setattr(ort, "get_available_providers", lambda: NAMES)
+    values = np.array([0.1, 0.3, 1.0, 3.0], np.float32)
+    for device, expected in (("cpu", [0.0, 0.5, 1.0, 3.0]), ("cuda", values)):
+        (outputs,) = OnnxSession(path, Runtime(device=device)).run(np.tile(values, (1, 3, 1, 1)))
+        np.testing.assert_allclose(outputs[0, :, 0], np.outer([0.5, -1.5], expected), rtol=1e-5, atol=1e-6)
+    assert float_network(write_model(tmp_path / "float.onnx", np.zeros((1, 2, 3)))) is None
 
 
 @pytest.mark.parametrize(("n_limited", "given", "n_threads"), [(0, 0, 0), (3, 0, 3), (3, 5, 5)])

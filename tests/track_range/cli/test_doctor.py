@@ -25,15 +25,20 @@ def test_report_as_json(cli):
     assert set(report["checks"].values()) == {"ok"}
 
 
+BOXES = np.array([[10.0, 20, 50, 60, 0.9], [60, 20, 90, 60, 0.6], [10, 60, 40, 90, 0.3]])  # corners in px, score
+
+
 def device_results(**tested):
     """A test of devices with these results."""
-    return lambda device: doctor._Tested(*tested.get(device, (math.nan, (), f"not available (install {device})")))
+    return lambda device: doctor._Tested(
+        *tested.get(device, (math.nan, np.zeros((0, 5)), f"not available (install {device})"))
+    )
 
 
 @pytest.fixture
 def only_quick_checks(monkeypatch):
     """The checks without the run and without running the detector."""
-    monkeypatch.setattr(doctor, "tested", device_results(cpu=(10.0, (np.ones(4), np.full(9, 2.0)))))
+    monkeypatch.setattr(doctor, "tested", device_results(cpu=(10.0, BOXES)))
     quick = {name: check for name, check in doctor.CHECKS.items() if name != "short run"}
     monkeypatch.setattr(doctor, "CHECKS", quick)
 
@@ -57,21 +62,28 @@ def test_failed_check(cli, monkeypatch):
 
 
 @pytest.mark.usefixtures("only_quick_checks")
-@pytest.mark.parametrize(("other", "is_right"), [(2.08, True), (2.12, False), (math.nan, False)])
-def test_devices(cli, monkeypatch, other, is_right):
-    """The first output is equal, and the second 4 or 6 % from the CPU's."""
-    cpu, cuda = (10.0, (np.ones(4), np.full(9, 2.0))), (1.5, (np.ones(4), np.full(9, other)))
-    monkeypatch.setattr(doctor, "tested", device_results(cpu=cpu, cuda=cuda))
+@pytest.mark.parametrize(
+    ("boxes", "is_right", "words"),
+    [
+        (BOXES[[2, 1, 0]] + [0, 0, 2.5, -1, -0.08], True, "boxes within 2.5 px and 0.08 of score of the CPU's"),
+        (BOXES + np.eye(5)[0] * 3.5, False, "boxes within 3.5 px and 0.00 of score"),
+        (BOXES - [0, 0, 0, 0, 0.12], False, "boxes within 0.0 px and 0.12 of score"),
+        (BOXES[:2], True, "boxes within 0.0 px and 0.00 of score"),  # the third one is no clear object
+        (BOXES[:1], False, "boxes within 50.0 px"),
+        (BOXES[:0], False, "boxes within inf px"),
+        (np.full((1, 5), math.nan), False, "boxes within nan px"),
+    ],
+)
+def test_devices(cli, monkeypatch, boxes, is_right, words):
+    monkeypatch.setattr(doctor, "tested", device_results(cpu=(10.0, BOXES), cuda=(1.5, boxes)))
     status, text, complaint = cli("doctor", "--json")
     report = json.loads(text)
     assert status == (0 if is_right else 1)
     assert report["inference"]["device cpu"] == "10.0 ms per image"
     assert report["inference"]["device openvino"] == "not available (install openvino)"
-    assert report["inference"]["device cuda"].startswith("1.5 ms per image, outputs ")
-    assert ("outputs on cuda" in complaint) == (not is_right)
+    assert report["inference"]["device cuda"].startswith(f"1.5 ms per image, {words}")
+    assert ("the boxes found on cuda" in complaint) == (not is_right)
     assert is_right == (report["checks"]["devices"] == "ok")
-    if other == 2.08:
-        assert report["inference"]["device cuda"].endswith("outputs 4 % from the CPU's")
 
 
 @pytest.mark.usefixtures("only_quick_checks")
