@@ -36,10 +36,15 @@ class MethodColumn:
 
 def match_truth(frame: IntArray, xyxy_px: FloatArray, truth: Truth) -> IntArray:
     """(N,) row of `truth` that each track-frame matches, -1 = none."""
+    return match_boxes(frame, xyxy_px, truth.frame, truth.xyxy_px)
+
+
+def match_boxes(frame: IntArray, xyxy_px: FloatArray, other_frame: IntArray, other_px: FloatArray) -> IntArray:
+    """(N,) index of the other box (M, 4) in the frame of each box (N, 4), one to one by IoU; -1 = none."""
     matched = np.full(len(frame), -1)
-    for number in np.intersect1d(frame, truth.frame):
-        rows, labels = np.flatnonzero(frame == number), np.flatnonzero(truth.frame == number)
-        overlap = iou(xyxy_px[rows], truth.xyxy_px[labels])
+    for number in np.intersect1d(frame, other_frame):
+        rows, labels = np.flatnonzero(frame == number), np.flatnonzero(other_frame == number)
+        overlap = iou(xyxy_px[rows], other_px[labels])
         row, label = linear_sum_assignment(np.where(overlap >= MIN_IOU, overlap, 0.0), maximize=True)
         is_match = overlap[row, label] >= MIN_IOU
         matched[rows[row[is_match]]] = labels[label[is_match]]

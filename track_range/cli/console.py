@@ -15,7 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from track_range.foundation.files.input_files import printable
-from track_range.views.report.tables import Grid, accuracy_grids, grids, track_grid
+from track_range.views.report.tables import Grid, grids
 
 console = Console()  # console of all commands (standard output)
 _N_FIRST = 20  # notes that `print_first` prints
@@ -41,12 +41,9 @@ def print_first(console: Console, title: str, notes: Sequence[str]) -> None:
         print_notes(console, [*notes[:_N_FIRST], *more])
 
 
-def print_summary(console: Console, summary: Mapping[str, Any], *, is_brief: bool = False) -> None:
-    """Print the tables of a run's summary; `is_brief` leaves only errors against ground truth."""
-    if not is_brief:
-        print_grid(console, *grids(summary))
-    elif summary.get("truth"):
-        print_grid(console, *accuracy_grids(summary), track_grid(summary["tracks"]))
+def print_summary(console: Console, summary: Mapping[str, Any]) -> None:
+    """Print the tables of a run's summary."""
+    print_grid(console, *grids(summary))
 
 
 def print_grid(console: Console, *shown: Grid) -> None:

@@ -26,10 +26,8 @@ def closest_approaches(columns: Columns) -> list[dict[str, Any]]:
 def track_extremes(columns: Columns) -> Iterator[dict[str, Any]]:
     """The same for each track, by increasing track ID."""
     unknown = np.full(len(columns["time_s"]), np.nan)
-    filtered_m, fused_m = columns.get("fused_kf_m", unknown), columns.get("fused_m", unknown)
-    sigmas_m = [columns.get(f"{name}_sigma_m", unknown) for name in ("fused_kf", "fused")]
-    is_filtered, is_observed = np.isfinite(filtered_m), columns.get("observed", unknown) != 0
-    distance_m, sigma_m = np.where(is_filtered, filtered_m, fused_m), np.where(is_filtered, *sigmas_m)
+    is_observed = columns.get("observed", unknown) != 0
+    distance_m, sigma_m = reference_distance(columns)
     closing_mps, spread_mps = (columns.get(f"closing_{unit}", unknown) for unit in ("mps", "sigma_mps"))
     certain_mps = _counted(closing_mps, spread_mps, is_observed)
     measures = (  # key, values whose smallest counts, and standard deviations with their key
@@ -48,6 +46,16 @@ def track_extremes(columns: Columns) -> Iterator[dict[str, Any]]:
                 row[sigma_key] = float(sigmas[at]) if at is not None and np.isfinite(sigmas[at]) else None
             row[f"{key}_at_s"] = None if at is None else float(columns["time_s"][at])
         yield row
+
+
+def reference_distance(
+    columns: Columns, methods: tuple[str, str] = ("fused_kf", "fused")
+) -> tuple[FloatArray, FloatArray]:
+    """(N,) distances of a run by the first method, else by the second, and their standard deviations; NaN = unknown."""
+    unknown = np.full(len(columns["time_s"]), np.nan)
+    distances, sigmas = ([columns.get(f"{name}_{end}", unknown) for name in methods] for end in ("m", "sigma_m"))
+    is_first = np.isfinite(distances[0])
+    return np.where(is_first, *distances), np.where(is_first, *sigmas)
 
 
 def _counted(values: FloatArray, sigma: FloatArray, is_observed: BoolArray) -> FloatArray:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import html
 import time
 import weakref
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import closing, suppress
 from pathlib import Path
 from types import TracebackType
@@ -22,7 +22,7 @@ from rich.console import Console
 
 from track_range.foundation.arrays import Image
 from track_range.foundation.errors import ConfigError, UserError
-from track_range.foundation.files.input_files import real_path
+from track_range.foundation.files.input_files import counted, real_path
 from track_range.foundation.keywords import KeywordsInErrors
 from track_range.pipeline.frame_result import FrameResult
 from track_range.results.replay import frames_of_rows
@@ -36,7 +36,7 @@ from track_range.run.session import RunSession
 from track_range.run.settings import RunSettings
 from track_range.run.settings_files import options_and_objects, settings_from
 from track_range.views.overlay.result_video import Draw
-from track_range.views.report.outcome import html_table, user_grid
+from track_range.views.report.outcome import class_grid, html_table, user_grid
 
 _MOST_SHOWN = 10  # road users in the representation in notebooks, the nearest ones
 
@@ -376,25 +376,11 @@ class Run:
         if self._summary is None:
             n_frames = 0 if self._session is None else len(self._session.rows)
             return f"<p><b>track-range run</b> of {title}: {n_frames} frames so far</p>"
-        rows = "".join(
-            f"<tr><th>{html.escape(name)}</th><td>{html.escape(text)}</td></tr>"
-            for name, text in _headline_figures(self._summary)
-        )
-        nearest = html_table(user_grid(self._summary["closest_approaches"], _MOST_SHOWN))
-        return f"<p><b>track-range run</b> of {title}</p><table>{rows}</table>{nearest}"
+        users = self._summary["closest_approaches"]
+        counts = f"{counted(self._summary['frames'], 'frame')}, {counted(len(users), 'road user')}"
+        shown = html_table(class_grid(users)) + html_table(user_grid(users, _MOST_SHOWN))
+        return f"<p><b>track-range run</b> of {title}: {counts}</p>{shown}"
 
 
 def _video(name: str | Path | Sequence[str | Path]) -> str | list[str]:
     return str(name) if isinstance(name, str | Path) else [str(part) for part in name]
-
-
-def _headline_figures(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    yield "frames", str(summary["frames"])
-    yield "tracks", str(summary["tracks"]["n"])
-    if (rate := summary.get("frames_per_s")) is not None:
-        yield "frames per second", f"{rate:.1f}"
-    yield "calibration", str(summary["calibration"])
-    for name, figures in summary["methods"].items():
-        error = figures.get("median_relative_error_pct")
-        measured = f"{100 * figures['coverage']:.0f} % of the boxes" if figures.get("coverage") is not None else ""
-        yield name, measured if error is None else f"{measured}, median error {error:.1f} %"

@@ -23,6 +23,7 @@ import av
 from av.container import InputContainer
 from av.video.stream import VideoStream
 
+from track_range.foundation.arrays import Image
 from track_range.foundation.files.atomic_files import atomic_folder, describe
 from track_range.foundation.files.input_files import check_regular
 from track_range.foundation.files.output_files import OutputError, make_folder
@@ -32,6 +33,7 @@ from track_range.views.overlay.result_video import QUANTIZER
 from track_range.views.video_writer import VideoWriter
 
 BEFORE_S, AFTER_S = 3.0, 2.0  # time before the start and after the end of an event that its clip shows, s
+_HALF_TICK_S = 1e-3  # tolerance of the time of a frame
 MAX_CLIP_S = 30.0  # of a clip; that of a longer event has two thirds before the peak
 
 
@@ -112,6 +114,17 @@ def cut_clip(video: Path, path: Path, start_s: float, end_s: float) -> bool:
         except (av.FFmpegError, OSError) as error:
             raise OutputError(f"{path}: the clip cannot be written ({error.strerror or error}).") from error
     return True
+
+
+def frame_at(video: Path, time_s: float) -> Image | None:
+    """The frame at a time of a `VideoWriter`'s video, from its first frame; None = there is none to be read."""
+    with suppress(VideoError, av.FFmpegError), _opened(video) as (container, stream):
+        tick = max(round((time_s - _HALF_TICK_S) / (stream.time_base or Fraction(1))), 0)
+        container.seek(tick, stream=stream)
+        for frame in container.decode(stream):
+            if (frame.pts or 0) >= tick:
+                return bgr_image(frame)
+    return None
 
 
 _Packet: TypeAlias = "av.Packet[VideoStream]"

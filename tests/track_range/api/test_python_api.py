@@ -80,7 +80,7 @@ def test_summary_equals_summary_json(finished):
     run, frames, out = finished
     assert run.summary == json.loads((out / "summary.json").read_text())
     assert run.summary["frames"] == len(frames)
-    assert "fused" in run._repr_html_()
+    assert "Closest approaches" in run._repr_html_() or "closest approaches" in run._repr_html_()
 
 
 def test_pandas_frame(finished):

@@ -14,7 +14,7 @@ from track_range.foundation.files.output_files import OutputError
 from track_range.recording.frame import VideoError
 from track_range.results.events.event import clip_name
 from track_range.results.events.files import write_event_files
-from track_range.views.event_clips import clip_interval_s, cut_clip, write_clips
+from track_range.views.event_clips import clip_interval_s, cut_clip, frame_at, write_clips
 from track_range.views.overlay.result_video import QUANTIZER
 from track_range.views.report.run_folders import report
 from track_range.views.video_writer import VideoWriter
@@ -45,6 +45,17 @@ def frames_of(path):
         frames = list(container.decode(stream))
     numbers = [round((frame.to_ndarray(format="gray")[24] > 127).sum() / BAR_PX) for frame in frames]
     return numbers, [float(frame.pts * frame.time_base) for frame in frames], duration_s
+
+
+@pytest.mark.parametrize(("time_s", "number"), [(0.0, 0), (2.3, 23), (5.9, 59)])
+def test_frame_at_a_time(overlay, time_s, number):
+    assert round((frame_at(overlay, time_s)[24, :, 0] > 127).sum() / BAR_PX) == number
+
+
+def test_no_frame_after_the_end_or_of_a_damaged_video(overlay, tmp_path):
+    assert frame_at(overlay, 7.0) is None
+    (tmp_path / "overlay.mp4").write_bytes(b"damaged")
+    assert frame_at(tmp_path / "overlay.mp4", 0.0) is None
 
 
 def packets_of(path):

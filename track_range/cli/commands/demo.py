@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from track_range.cli.commands.run import print_outcome, run_and_print
 from track_range.cli.console import console, print_line
@@ -15,7 +14,6 @@ from track_range.foundation.processes import one_opencv_thread
 from track_range.run.progress import step_progress
 from track_range.run.settings import RunSettings
 from track_range.simulation.drive import write_drive
-from track_range.views.report.tables import NOTHING, figure
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -59,13 +57,10 @@ def _demo(options: DemoOptions) -> None:
 
 def _print_screen(run: Run, console: Console) -> None:
     """Print one screen: what happened, the accuracy, the files, and what to try next."""
-    n_frames, folder = run.summary["frames"], run.settings.out
+    folder = run.settings.out
     print_outcome(run, console)
     print_line(
         console,
-        f"Accuracy against the simulation's exact truth, {n_frames} frames:",
-        *(f"  {name:<14} {text}" for name, text in accuracy_lines(run.summary)),
-        "",
         f"Report  {folder}/report.html   all methods, errors by distance, every track",
         f"Video   {folder}/overlay.mp4   boxes, distances and closing speeds",
         f"Table   {folder}/tracks.csv    one row per track and frame",
@@ -74,27 +69,6 @@ def _print_screen(run: Run, console: Console) -> None:
         "  track-range --mono dashcam.mp4 --focal-px 1150",
         "  track-range --stereo left.mp4 right.mp4 --rig rig.yaml",
     )
-
-
-def accuracy_lines(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Name and text of each line on accuracy: distance, closing speed, tracks; "-" = not measured."""
-    fused, closing, tracks = summary["methods"].get("fused_kf", {}), summary.get("closing") or {}, summary["tracks"]
-    median, mean = (_text(fused, f"{name}_relative_error_pct") for name in ("median", "mean"))
-    yield "distance", f"median error {median} %, mean {mean} %, over {_text(fused, 'n', 0)} boxes"
-    yield (
-        "closing speed",
-        f"median error {_text(closing, 'median_error_mps', 2)} m/s, over {_text(closing, 'n', 0)} boxes",
-    )
-    yield (
-        "tracks",
-        f"IDF1 {_text(tracks, 'idf1', 0)} %, MOTA {_text(tracks, 'mota', 0)} %, "
-        f"{_text(tracks, 'idsw', 0)} identity switches",
-    )
-
-
-def _text(figures: Mapping[str, Any], key: str, decimals: int = 1) -> str:
-    value = figure(figures, key)
-    return NOTHING if value is None else f"{value:.{decimals}f}"
 
 
 app = command(DemoOptions, _demo)

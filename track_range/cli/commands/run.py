@@ -133,7 +133,8 @@ def _print_tables(run: Run, console: Console, *, is_verbose: bool) -> None:
     from track_range.views.report.tables import frames_per_s
 
     with _ignore_broken_pipe():
-        print_summary(console, run.summary, is_brief=not is_verbose)
+        if is_verbose:
+            print_summary(console, run.summary)
         print_outcome(run, console)
         rate = frames_per_s(run.summary)
         print_line(console, f"{run.summary['frames']} frames" + (f", {rate:.1f} per second." if rate else "."))
@@ -146,11 +147,12 @@ def print_outcome(run: Run, console: Console) -> None:
     """Print what happened: the extremes of each class, the events, and where to look."""
     from track_range.cli.console import print_grid, print_line
     from track_range.foundation.files.input_files import printable
-    from track_range.views.report.outcome import class_grid, event_lines
+    from track_range.views.report.outcome import accuracy_lines, class_grid, event_lines
 
     users, files = run.summary["closest_approaches"], {file.name: file for file in run.files}
     print_grid(console, *([class_grid(users)] if users else []))
-    print_line(console, *map(printable, event_lines(run.events)))
+    accuracy = accuracy_lines(run.summary) if run.summary["truth"] else ()
+    print_line(console, *map(printable, event_lines(run.events)), *accuracy)
     if "report.html" in files:
         print_line(console, f"Look at {files['report.html']}: it shows each of these moments.")
 

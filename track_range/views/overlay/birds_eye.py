@@ -65,7 +65,7 @@ class BirdsEye:
 
     def place(self, image_px: tuple[int, int]) -> FloatArray:
         """(4,) rectangle of the inset in an image (W, H) in its present corner; empty if the image is too small."""
-        return _places(image_px)[self._corner]
+        return np.asarray(_places(image_px)[self._corner], np.float64)
 
     def _move(self, image_px: tuple[int, int], boxes: FloatArray, time_s: float) -> None:
         """Choose the corner where the inset covers the smallest area of the boxes, if that is worth a move."""

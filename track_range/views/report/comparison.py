@@ -10,12 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from track_range.detection.boxes import iou
 from track_range.foundation.arrays import FloatArray
+from track_range.foundation.files.input_files import counted
 from track_range.pipeline.colours import OTHER_COLOURS, method_colours
 from track_range.results.columns import Columns, boxes_px
 from track_range.results.events.event import EVENT_KINDS, Event
@@ -24,12 +26,14 @@ from track_range.views.report.content.errors import band_line
 from track_range.views.report.content.events import event_details, kind_words, object_words, time_words
 from track_range.views.report.sentences import address, flattened, run_name
 from track_range.views.report.tables import Cell, Column, ColumnSpec, Grid, columns_of, figure, grid_of, largest
+from track_range.views.report.track_comparison import picture, track_differences, unmatched_names
 
 TIME_TOLERANCE_S = 0.5  # largest gap in s between the times of matching events
 MIN_IOU = 0.3  # smallest median IoU of the boxes of matching events
 _DISTANCE_FRACTION, _DISTANCE_M = 0.2, 2.0  # largest differences of matching events without common frames
 _CHANGED_S, _CHANGED_SIGMA = 0.2, 1.0  # differences that are listed: s, and in joint sigmas of distances
 _CHANGED_FRACTION = 0.1  # relative difference of distances without a standard deviation that is listed
+_MOST_NAMED, _MOST_PICTURES = 10, 6  # of a pair of runs: road users that are in one run only, and with pictures
 _ARROW = "\N{RIGHTWARDS ARROW}"
 
 _RUN_COLUMNS: tuple[ColumnSpec, ...] = (
@@ -73,6 +77,13 @@ class ComparedRun:
     notes: tuple[str, ...] = ()  # messages about missing files
     events: tuple[Event, ...] | None = None  # None = unknown
     rows: Columns = field(default_factory=dict)
+    overlay: Path | None = None  # its video; None = it has none
+
+    @property
+    def video(self) -> str:
+        """Name of the left or only video."""
+        inputs = self.section("inputs")
+        return run_name({"inputs": {"left": inputs.get("left") or inputs.get("video") or inputs.get("mono")}})
 
     def section(self, name: str) -> Mapping[str, Any]:
         """A section of the summary; empty without it."""
@@ -113,7 +124,7 @@ def settings_grid(runs: Sequence[ComparedRun]) -> Grid:
 def comparison_notes(runs: Sequence[ComparedRun]) -> list[str]:
     """Reasons why the results of the runs may not be comparable."""
     notes = []
-    if len({run_name(run.summary) for run in runs}) > 1:
+    if len({run.video for run in runs}) > 1:
         notes.append("The runs are of different videos, so their errors are not directly comparable.")
     if len({str(run.summary.get("truth")) for run in runs}) > 1:
         notes.append("The runs were not evaluated against the same kind of ground truth, or some had none.")
@@ -134,6 +145,55 @@ def error_lines(runs: Sequence[ComparedRun]) -> list[dict[str, Any]]:
     return lines
 
 
+# -- road users -------------------------------------------------------------------------------------------------------
+
+
+def compared_tracks(runs: Sequence[ComparedRun], *, has_pictures: bool = True) -> list[dict[str, Any]]:
+    """The road users of each further run on the video of the first one, beside those of the first.
+
+    Keys: `grid`, `sentences`, and `pictures` of the largest disagreements: `text`, and `images` (name of the run,
+    distance and data URI, "" = none, of each run).
+    """
+    return [_compared_pair(runs[0], run, has_pictures) for run in runs[1:] if run.video == runs[0].video]
+
+
+def _compared_pair(first: ComparedRun, second: ComparedRun, has_pictures: bool) -> dict[str, Any]:
+    differences, pair = track_differences(first.rows, second.rows), (first, second)
+    rows, pictures = [], list[dict[str, Any]]()
+    for one in differences:
+        name, words, time = " / ".join(dict.fromkeys(one["names"])), f" {_ARROW} ".join(one["words"]), one["time_s"]
+        link = f"{address(first.link)}#t={time:.3f}" if first.link else ""
+        closing = tables.NOTHING if math.isnan(one["closing_mps"]) else f"{one['closing_mps']:+.1f}"
+        texts = (f"{one['difference_pct']:+.1f}", closing, str(one["frames"]))
+        cells = (Cell(name), Cell(f"{one['sigmas']:.1f}"), Cell(words), Cell(time_words(time), link=link))
+        rows.append((*cells, *map(Cell, texts)))
+        if has_pictures and len(pictures) < _MOST_PICTURES and one["sigmas"] >= _CHANGED_SIGMA:
+            places = zip(pair, one["words"], one["boxes"], strict=True)
+            starts_s = [figure(run.summary, "starts_s") or 0.0 for run in pair]
+            images = [
+                (run.name, distance, picture(run.overlay, time - start_s, box))
+                for start_s, (run, distance, box) in zip(starts_s, places, strict=True)
+            ]
+            text = f"{name} at {time_words(time)}: {words}, {one['sigmas']:.1f} {tables.SIGMA} apart"
+            pictures.append({"text": text, "images": images})
+    sentences = [f"{counted(len(differences), 'road user')} in both runs."]
+    for side, run in enumerate(pair):
+        only = [*unmatched_names(run.rows, [one["names"][side] for one in differences])]
+        more = f" and {len(only) - _MOST_NAMED} more" if len(only) > _MOST_NAMED else ""
+        sentences += [f"Only in {run.name}: {', '.join(only[:_MOST_NAMED])}{more}."] if only else []
+    title = f"Road users, the largest disagreement first: {first.name} and {second.name}"
+    columns = (
+        "road user",
+        f"largest difference {tables.SIGMA}",
+        "distances",
+        "time",
+        "median %",
+        "closing m/s",
+        "frames",
+    )
+    return {"grid": Grid(title, columns, tuple(rows)), "sentences": sentences, "pictures": pictures}
+
+
 # -- events -----------------------------------------------------------------------------------------------------------
 
 
@@ -151,7 +211,7 @@ def _comparable(runs: Sequence[ComparedRun]) -> list[ComparedRun]:
     first = runs[0]
     if first.events is None:
         return []
-    return [run for run in runs[1:] if run.events is not None and run_name(run.summary) == run_name(first.summary)]
+    return [run for run in runs[1:] if run.events is not None and run.video == first.video]
 
 
 def event_sentence(runs: Sequence[ComparedRun]) -> str:

@@ -2,6 +2,7 @@
 
 import html
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 from track_range.detection.classes import ROAD_CLASSES
@@ -12,6 +13,9 @@ from track_range.views.report.sentences import event_headline
 from track_range.views.report.tables import NOTHING, Cell, Grid
 
 MOST_EVENTS = 5  # that are listed in the terminal, the most severe ones
+_DISTANCE_FIGURES = (
+    "median error {median_relative_error_pct:.1f} %, mean {mean_relative_error_pct:.1f} %, over {n} boxes"
+)
 _EXTREMES = (  # heading, key, key of its sigma and sign of the value that comes first
     ("nearest m", "min_distance_m", "min_distance_sigma_m", 1),
     ("closing m/s", "max_closing_mps", "max_closing_sigma_mps", -1),
@@ -21,32 +25,36 @@ _EXTREMES = (  # heading, key, key of its sigma and sign of the value that comes
 
 def class_grid(users: Sequence[Mapping[str, Any]]) -> Grid:
     """One row per class of `closest_approaches`: their number, and each extreme with its track and time."""
-    headings = [text for heading, *_ in _EXTREMES for text in (heading, "track and time")]
-    names = sorted({user["class"] for user in users}, key=ROAD_CLASSES.index)
     rows = []
-    for name in names:
+    for name in sorted({user["class"] for user in users}, key=ROAD_CLASSES.index):
         own = [user for user in users if user["class"] == name]
-        cells = [name, str(len(own))]
+        texts = [name, str(len(own))]
         for _, key, sigma_key, sign in _EXTREMES:
-            first = min(
-                (user for user in own if user[key] is not None), key=lambda user: sign * user[key], default=None
-            )
-            cells += [NOTHING, NOTHING] if first is None else _extreme(first, key, sigma_key)
-        rows.append(tuple(map(Cell, cells)))
+            known = [user for user in own if user[key] is not None]
+            first = min(known, key=lambda user: sign * user[key], default=None)
+            place = NOTHING if first is None else f"{first['track_id']} at {time_words(first[f'{key}_at_s'])}"
+            texts += [_value(first, key, sigma_key), place]
+        rows.append(tuple(map(Cell, texts)))
+    headings = (text for heading, *_ in _EXTREMES for text in (heading, "track and time"))
     return Grid("Road users", ("class", "number", *headings), tuple(rows))
 
 
 def user_grid(users: Sequence[Mapping[str, Any]], most: int) -> Grid:
     """One row per road user of `closest_approaches`, the nearest `most`."""
-    headings = [text for heading, *_ in _EXTREMES for text in (heading, "time")]
-    rows = []
-    for user in users[:most]:
-        cells = [f"{user['class']} {user['track_id']}"]
-        for _, key, sigma_key, _ in _EXTREMES:
-            cells += [NOTHING, NOTHING] if user[key] is None else _extreme(user, key, sigma_key, named=False)
-        rows.append(tuple(map(Cell, cells)))
     title = "Closest approaches" if len(users) <= most else f"The {most} closest approaches of {len(users)}"
-    return Grid(title, ("road user", *headings), tuple(rows))
+    rows = (
+        (f"{user['class']} {user['track_id']}", *(_value(user, key, sigma_key) for _, key, sigma_key, _ in _EXTREMES))
+        for user in users[:most]
+    )
+    columns = ("road user", *(heading for heading, *_ in _EXTREMES))
+    return Grid(title, columns, tuple(tuple(map(Cell, texts)) for texts in rows))
+
+
+def _value(user: Mapping[str, Any] | None, key: str, sigma_key: str) -> str:
+    if user is None or user[key] is None:
+        return NOTHING
+    sigma = user[sigma_key] if sigma_key else None
+    return f"{user[key]:.1f}" if sigma is None else f"{user[key]:.1f} ±{sigma_words(sigma)}"
 
 
 def html_table(grid: Grid) -> str:
@@ -54,13 +62,6 @@ def html_table(grid: Grid) -> str:
     lines = [("th", grid.columns), *(("td", [cell.text for cell in row]) for row in grid.rows)]
     rows = ("".join(f"<{tag}>{html.escape(text)}</{tag}>" for text in texts) for tag, texts in lines)
     return f"<p>{html.escape(grid.title)}</p><table><tr>{'</tr><tr>'.join(rows)}</tr></table>" if grid.rows else ""
-
-
-def _extreme(user: Mapping[str, Any], key: str, sigma_key: str, *, named: bool = True) -> list[str]:
-    sigma = user[sigma_key] if sigma_key else None
-    time = time_words(user[f"{key}_at_s"])
-    value = f"{user[key]:.1f}" if sigma is None else f"{user[key]:.1f} ±{sigma_words(sigma)}"
-    return [value, f"{user['track_id']} at {time}" if named else time]
 
 
 def event_lines(events: Sequence[Event]) -> Iterator[str]:
@@ -72,3 +73,15 @@ def event_lines(events: Sequence[Event]) -> Iterator[str]:
         yield f"  {time_words(event.start_s):>7}  {kind_words(event.kind)}, {object_words(event)}: {event.reason}"
     if len(events) > len(listed):
         yield f"  and {counted(len(events) - len(listed), 'event')} more in events.csv"
+
+
+def accuracy_lines(summary: Mapping[str, Any]) -> Iterator[str]:
+    """Lines on the errors of distance, closing speed and tracks that were measured, of a run with ground truth."""
+    yield f"Accuracy against the ground truth, {summary['frames']} frames:"
+    for name, section, figures in (
+        ("distance", summary["methods"].get("fused_kf"), _DISTANCE_FIGURES),
+        ("closing speed", summary.get("closing"), "median error {median_error_mps:.2f} m/s, over {n} boxes"),
+        ("tracks", summary["tracks"], "IDF1 {idf1:.0f} %, MOTA {mota:.0f} %, {idsw} identity switches"),
+    ):
+        with suppress(KeyError, TypeError):  # a figure is missing or None
+            yield f"  {name:<14} {figures.format(**section or {})}"

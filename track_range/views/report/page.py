@@ -115,7 +115,6 @@ def report_page(
         events=None if shown is None else event_records(shown, clips_of(events or (), shown, clips or {})),
         events_note=hidden_events_note(events or (), shown or ()),
         has_road=any("x" in track for track in content["tracks"]),
-        cards=list(sentences.cards(summary)),
         notes=summary.get("notes") or [],
         video=sentences.address(str(overlay)) if overlay else None,
         has_known_distances=content["known_distances"] is not None and bool(content["tracks"]),
@@ -145,6 +144,7 @@ def comparison_page(runs: Sequence[comparison.ComparedRun]) -> str:
             for run in runs
         ],
         notes=comparison.comparison_notes(runs),
+        tracks=comparison.compared_tracks(runs),
         event_grids=comparison.event_grids(runs),
         event_sentence=comparison.event_sentence(runs),
         grids=comparison.comparison_grids(runs),

@@ -18,6 +18,7 @@ from track_range.results.writers import result_names
 from track_range.views.event_clips import write_clips
 from track_range.views.report.comparison import (
     ComparedRun,
+    compared_tracks,
     comparison_grids,
     comparison_notes,
     event_grids,
@@ -72,11 +73,13 @@ def report(folders: Sequence[Path], out: Path | None = None, *, has_clips: bool 
             notes=run.missing,
             events=known_events(run),
             rows=run.columns,
+            overlay=run.folder / str(run.summary["files"]["overlay"]) if run.summary["files"].get("overlay") else None,
         )
         for name, run in zip(short_names([run.folder for run in runs]), runs, strict=True)
     ]
     write_comparison(page, compared)
-    grids = (*event_grids(compared), *comparison_grids(compared), settings_grid(compared))
+    tracks = [pair["grid"] for pair in compared_tracks(compared, has_pictures=False)]
+    grids = (*tracks, *event_grids(compared), *comparison_grids(compared), settings_grid(compared))
     notes = tuple(comparison_notes(compared))
     return WrittenReport(page, tuple(grid for grid in grids if grid.rows), missing, notes, tuple(clips))
 

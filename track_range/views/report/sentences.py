@@ -124,50 +124,9 @@ def run_line(summary: Mapping[str, Any], n: int, duration_s: float) -> str:
     return ", ".join(part for part in parts if part)
 
 
-def cards(summary: Summary) -> Iterator[dict[str, str]]:
-    """Main results of a run: frames, speed, tracks, distance error, HOTA."""
-    wall_s, fps = tables.figure(summary, "wall_s"), tables.frames_per_s(summary)
-    tracks = summary.get("tracks") or {}
-    yield card("frames", summary.get("frames"), f"in {wall_s:.1f} s" if wall_s else "")
-    if fps is not None:
-        yield card("frames per second", f"{fps:.1f}", "all stages, wall clock")
-    yield card("tracks", tracks.get("n"), "confirmed, with traffic lights and signs")
-    best = best_method(summary)
-    if best is not None:
-        name, error_pct, where = best
-        fused = (summary.get("methods") or {}).get("fused") or {}
-        fused_pct, n = (tables.figure(fused, key) for key in ("median_relative_error_pct", "n"))
-        detail = f"{name}, the best method {where}"
-        if fused_pct is not None and name != "fused":
-            rows = "" if n is None else f" in {n:.0f} track-frames"
-            error_pct, detail = fused_pct, f"fused{rows}; best: {name} {error_pct:.1f} % {where}"
-        yield card("median distance error", f"{error_pct:.1f} %", detail)
-    hota, idsw = tables.figure(tracks, "hota"), tables.figure(tracks, "idsw")
-    if hota is not None:
-        switches = "" if idsw is None else f"{idsw:.0f} identity switch{'' if idsw == 1 else 'es'}"
-        yield card("HOTA", f"{hota:.1f} %", switches)
-
-
 def card(name: str, value: object, detail: str) -> dict[str, str]:
     """One card; a value that is None was not measured."""
     return {"name": name, "value": tables.NOTHING if value is None else str(value), "detail": detail}
-
-
-def best_method(summary: Summary) -> tuple[str, float, str] | None:
-    """Name and median relative error in per cent of the best method and the coverage it refers to; None without truth.
-
-    Methods are compared on common coverage if there is one; otherwise one that measures only easy objects could win.
-    """
-    for part, where in (("common", "on common coverage"), ("methods", "on its own coverage")):
-        errors = {
-            name: error
-            for name, row in (summary.get(part) or {}).items()
-            if (error := tables.figure(row, "median_relative_error_pct")) is not None
-        }
-        if errors:
-            name = min(errors, key=lambda method: errors[method])
-            return name, errors[name], where
-    return None
 
 
 def geometry_sentences(summary: Summary) -> list[str]:

@@ -5,7 +5,7 @@ import math
 from tests.track_range.results.events.event_builder import event
 from tests.track_range.results.test_approaches import COLUMNS
 from track_range.results.approaches import closest_approaches
-from track_range.views.report.outcome import class_grid, event_lines, html_table, user_grid
+from track_range.views.report.outcome import accuracy_lines, class_grid, event_lines, html_table, user_grid
 
 TIMES = "\N{MULTIPLICATION SIGN}"
 USERS = closest_approaches(COLUMNS)
@@ -26,7 +26,7 @@ def test_extremes_of_a_class_name_track_and_time():
 def test_nearest_road_users():
     grid = user_grid(USERS, 2)
     assert "of 3" in grid.title
-    assert texts(grid)[1] == ["car 1", "15.0 ±0.3", "0.5 s", "10.0 ±1.0", "0.5 s", "0.4", "1.0 s"]
+    assert texts(grid)[1] == ["car 1", "15.0 ±0.3", "10.0 ±1.0", "0.4"]
     assert "<td>car 1</td><td>15.0 ±0.3</td>" in html_table(grid)
     assert html_table(user_grid([], 2)) == ""
 
@@ -45,3 +45,16 @@ def test_events_in_lines():
     assert len(lines) == 5
     assert more.strip().startswith("and 2 events more")
     assert next(event_lines(others[:2])) == f"2 events: 2 {TIMES} near miss; none has a warning."
+
+
+def test_accuracy_in_lines():
+    fused = {"median_relative_error_pct": 0.41, "mean_relative_error_pct": 1.4, "n": 416}
+    tracks = {"n": 3, "idf1": 45.2, "mota": 26.1, "idsw": 12}
+    summary = {"frames": 60, "methods": {"fused_kf": fused}, "closing": None, "tracks": tracks}
+    title, *lines = accuracy_lines(summary)
+    assert "60 frames" in title
+    assert [line.split(maxsplit=1) for line in lines] == [
+        ["distance", "median error 0.4 %, mean 1.4 %, over 416 boxes"],
+        ["tracks", "IDF1 45 %, MOTA 26 %, 12 identity switches"],
+    ]
+    assert len([*accuracy_lines(summary | {"methods": {}, "tracks": {"n": 3, "idf1": None}})]) == 1

@@ -119,8 +119,6 @@ def test_page_shows_the_summary() -> None:
         "8.2",
         "61.70",
         "MOTA % 88.1 IDF1 % 91.4 ID switches 0",
-        "median distance error 3.4 %",
-        "stereo, the best method on its own coverage",
         "The rig was taken from calib.txt.",
         "Ground truth: the visible surface.",
         "rig.file calib.txt",

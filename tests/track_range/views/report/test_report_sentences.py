@@ -7,8 +7,6 @@ from typing import Any
 import pytest
 
 from track_range.views.report.sentences import (
-    best_method,
-    cards,
     flattened,
     geometry_sentences,
     run_name,
@@ -37,43 +35,11 @@ def test_run_name() -> None:
     assert run_name({}) == "A run"
 
 
-def test_cards_of_a_run() -> None:
-    assert [card["name"] for card in cards({"frames": 3})] == ["frames", "tracks"]
-    summary = {"frames": 3, "wall_s": 1.5, "tracks": {"n": 1, "hota": 50.04, "idsw": 1}, "methods": {"mono": row(4.0)}}
-    assert [card["value"] for card in cards(summary)] == ["3", "2.0", "1", "4.0 %", "50.0 %"]
-    details = [card["detail"] for card in cards(summary)]
-    assert "1.5 s" in details[0]
-    assert "mono" in details[3]
-    assert details[4] == "1 identity switch"
-
-
-def test_error_card_is_of_fused() -> None:
-    summary = {"methods": {"fused": row(2.0), "stereo": row(1.5)}}
-    card = [*cards(summary)][-1]
-    assert card["value"] == "2.0 %"
-    assert "41 track-frames" in card["detail"]
-    assert "best: stereo 1.5 %" in card["detail"]
-    summary["methods"]["fused"] = row(1.0)
-    assert [*cards(summary)][-1]["detail"].startswith("fused")
-
-
 def test_sigma_verdict_depends_on_sample_size() -> None:
     verdicts = [sigma_sentences({"methods": {"a": row(1.0, within_1_sigma=0.86) | {"n": n}}})[0] for n in (7, 70)]
     assert "about right" in verdicts[0]
     assert "too large" in verdicts[1]
     assert "70 errors" in verdicts[1]
-
-
-def test_best_method_on_common_coverage() -> None:
-    methods = {"mono": row(7.9), "stereo": row(3.4)}
-    best = best_method({"methods": methods, "common": {"mono": row(2.5), "stereo": row(2.6)}})
-    assert best is not None
-    assert best[:2] == ("mono", 2.5)
-    assert "common" in best[2]
-    best = best_method({"methods": methods, "common": {"mono": row(None)}})
-    assert best is not None
-    assert best[:2] == ("stereo", 3.4)
-    assert best_method({}) is None
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,96 @@
+"""Road users of two runs on one video, matched by the boxes of each frame; those that disagree most come first.
+
+The disagreement of two distances, fused as in the overlay, else filtered, is their difference in joint standard
+deviations, sqrt(sigma_1^2 + sigma_2^2).
+"""
+
+import base64
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from track_range.detection.classes import STATIC_CLASSES
+from track_range.foundation.arrays import FloatArray
+from track_range.pipeline.colours import WHITE
+from track_range.ranging.evaluation.errors import match_boxes
+from track_range.results.approaches import closest_approaches, reference_distance
+from track_range.results.columns import Columns, boxes_px
+from track_range.views.event_clips import frame_at
+from track_range.views.report.content.events import sigma_words, time_words
+from track_range.views.report.content.series import column
+
+_MIN_FRAMES = 3  # common frames of matched tracks
+_MIN_SIGMA = 0.01  # smallest relative standard deviation, also where it is unknown
+_CROP_PX, _CROP_BOXES = np.array([200.0, 110.0]), 1.2  # from the middle of a box to the edge of its picture, at least
+
+
+def track_differences(first: Columns, second: Columns) -> list[dict[str, Any]]:
+    """Road users that both runs detect, the largest disagreement first; none for rows without boxes.
+
+    Keys: `names` (class and identity in each run), `frames` (number of common ones), medians of second against first
+    `difference_pct` and `closing_mps` (NaN = unknown), and of the frame with the largest disagreement `sigmas`,
+    `time_s`, `words` (the two distances) and `boxes`.
+    """
+    runs = [_detected(run) for run in (first, second)]
+    if not all(len(run.get("x1_px", ())) for run in runs):
+        return []
+    boxes, frames = [boxes_px(run) for run in runs], [run["frame"].astype(np.int64) for run in runs]
+    match = match_boxes(frames[0], boxes[0], frames[1], boxes[1])
+    rows = np.stack([np.flatnonzero(match >= 0), match[match >= 0]])
+    known = [
+        (*reference_distance(run, ("fused", "fused_kf")), column(run, "closing_mps"), run["track_id"]) for run in runs
+    ]
+    m, sigma_m, closing_mps, ids = (np.stack([a[rows[0]], b[rows[1]]]) for a, b in zip(*known, strict=True))
+    sigmas = np.abs(m[1] - m[0]) / np.hypot(*np.fmax(sigma_m, _MIN_SIGMA * m))
+    differences = []
+    for pair in np.unique(ids, axis=1).T:
+        common = np.flatnonzero((ids == pair[:, None]).all(axis=0) & np.isfinite(sigmas))
+        if len(common) >= _MIN_FRAMES:
+            at = common[np.argmax(sigmas[common])]
+            places = list(zip(runs, rows[:, at].tolist(), strict=True))
+            gap_mps = np.diff(closing_mps[:, common], axis=0)
+            differences.append(
+                {
+                    "names": [f"{run['class'][row]} {run['track_id'][row]:.0f}" for run, row in places],
+                    "frames": len(common),
+                    "difference_pct": 100 * float(np.median(m[1, common] / m[0, common] - 1)),
+                    "closing_mps": float(np.nanmedian(gap_mps)) if np.isfinite(gap_mps).any() else np.nan,
+                    "sigmas": float(sigmas[at]),
+                    "time_s": float(runs[0]["time_s"][rows[0, at]]),
+                    "words": [f"{m[i, at]:.1f} ±{sigma_words(sigma_m[i, at])} m" for i in (0, 1)],
+                    "boxes": [boxes[i][rows[i, at]] for i in (0, 1)],
+                }
+            )
+    return sorted(differences, key=lambda difference: -difference["sigmas"])
+
+
+def unmatched_names(run: Columns, matched: Sequence[str]) -> Iterator[str]:
+    """Road users of a run that are not among the matched ones, nearest first, with their smallest distances."""
+    rows = _detected(run)
+    for user in closest_approaches(rows) if rows else ():
+        name = f"{user['class']} {user['track_id']}"
+        if name not in matched and user["min_distance_m"] is not None:
+            yield f"{name} ({user['min_distance_m']:.1f} m at {time_words(user['min_distance_m_at_s'])})"
+
+
+def _detected(run: Columns) -> Columns:
+    """Rows of detected road users."""
+    is_kept = (column(run, "observed") != 0) & ~np.isin(run["class"], STATIC_CLASSES) if "class" in run else []
+    return {name: values[is_kept] for name, values in run.items()} if len(is_kept) else {}
+
+
+def picture(overlay: Path | None, time_s: float, box: FloatArray) -> str:
+    """The part of an overlay around a box as a data URI; `time_s` from its first frame; "" = there is no picture."""
+    image = None if overlay is None else frame_at(overlay, time_s)
+    if image is None:
+        return ""
+    x1, y1, x2, y2 = np.rint(box).astype(int).tolist()
+    cv2.rectangle(image, (x1, y1), (x2, y2), WHITE, 4)
+    middle, half = (box[:2] + box[2:]) / 2, np.maximum(_CROP_PX, _CROP_BOXES * (box[2:] - box[:2]))
+    edges = np.clip([middle - half, middle + half], 0, image.shape[1::-1]).astype(int)
+    part = image[slice(*edges[:, 1]), slice(*edges[:, 0])]
+    encoded = cv2.imencode(".jpg", part)[1].tobytes() if part.size else b""
+    return f"data:image/jpeg;base64,{base64.b64encode(encoded).decode()}" if encoded else ""
