@@ -30,6 +30,7 @@ import track_range as tr
 from track_range.detection.boxes import iou
 from track_range.evaluation.sequences.labelled_images import LabelledSource
 from track_range.ranging.registry import methods
+from track_range.views.overlay import birds_eye
 
 IMAGES = Path(__file__).with_name("images")
 
@@ -258,8 +259,8 @@ def overlay() -> None:
     """A frame of the demo's overlay, and the road from above that is part of it."""
     image = _frame(_demo() / "overlay.mp4", DEMO_FRAME)
     _save_jpeg(image, IMAGES / "overlay.jpg", quality=88)
-    height_px = int(0.42 * image.shape[0])
-    inset = image[-height_px - 1 :, : int(0.8 * height_px) + 2]
+    places = birds_eye._places((image.shape[1], image.shape[0])).round().astype(int)
+    inset = min((image[y1:y2, x1:x2] for x1, y1, x2, y2 in places), key=np.mean)  # its background is dark
     inset = cv2.resize(inset, None, fx=2.2, fy=2.2, interpolation=cv2.INTER_CUBIC)
     cv2.imwrite(str(IMAGES / "from_above.png"), inset)
 
