@@ -6,7 +6,7 @@
     FILE.csv     frame,x1,y1,x2,y2 and distance_m or disparity_px (and id, -1 = unknown) of two videos; frames count
                  from 0
 
-A distance is that of the visible surface on the ray through the box centre, along the left camera's optical axis: from
+A distance belongs to the visible surface on the ray through the box centre, along the left camera's optical axis: from
 truth.csv, else from the label's 3-D box. Of a drive, objects are the labels that `ranging.evaluation.truth` evaluates
 (not truncated, at most partly occluded, of a road class). The true disparity is f B / distance.
 """

@@ -58,7 +58,8 @@ COMMANDS = {
     "surrogate": Lazy(
         "track_range.cli.commands.surrogate",
         "Print surrogate measures of safety of a run or a fleet, by class and road user.",
-        "Gap, headway, time to collision (TTC, TET, TIT), required deceleration (DRAC, MDRAC), post-encroachment time.",
+        "The measures are gap, headway, time to collision (TTC, TET, TIT), required deceleration (DRAC, MDRAC) and "
+        "post-encroachment time.",
         (
             "track-range surrogate drive-1 --csv measures.csv",
             "track-range surrogate results --parquet measures.parquet",
@@ -67,8 +68,8 @@ COMMANDS = {
     "view": Lazy(
         "track_range.cli.commands.view",
         "Show a finished run in the viewer of rerun.",
-        "Video, bird's eye and plots. Writes run.rrd to the folder of the run if it is not there. Requires the extra "
-        "rerun.",
+        "Shows video, bird's eye view and plots. Writes run.rrd to the folder of the run unless the file exists. "
+        "Requires the extra rerun.",
         ("track-range view drive-1", "track-range view drive-1 --web"),
     ),
     "calibrate": Lazy(
@@ -91,7 +92,7 @@ COMMANDS = {
     "align": Lazy(
         "track_range.cli.commands.align",
         "Estimate the disparity error of a calibrated stereo pair.",
-        "It is estimated from drives past static objects, or from objects at known distances.",
+        "The error is estimated from drives past static objects, or from objects at known distances.",
         (
             "track-range align --stereo left.mp4 right.mp4 --rig rig.yaml --out align.yaml",
             "track-range align --reference kitti2015/ --out align.yaml",
@@ -127,7 +128,7 @@ COMMANDS = {
     "anchors": Lazy(
         "track_range.cli.commands.training.train:anchors_app",
         "Fit anchors to the boxes of a data set (k-means++).",
-        "Prints the anchors and their mean best IoU with the boxes, and that of the networks' default anchors.",
+        "Prints the anchors and their mean best IoU with the boxes, compared with the networks' default anchors.",
         ("track-range anchors --data data.yaml --size 640 --clusters 9",),
     ),
     "pseudo-label": Lazy(
@@ -251,7 +252,7 @@ def _print_overview() -> None:
 
 
 def _exit_if_full(error: Exception) -> None:
-    """Exit with one sentence where a full disk is the cause of the error."""
+    """Exit with one sentence if a full disk is the cause of the error."""
     if isinstance(error, OSError) and error.errno == errno.ENOSPC:
         _print_error(f"{error.filename or 'output'}: no space left on the device; free some space.")
         raise SystemExit(1) from None

@@ -34,7 +34,7 @@ def print_notes(console: Console, notes: Iterable[str]) -> None:
 
 
 def print_first(console: Console, title: str, notes: Sequence[str]) -> None:
-    """Print a title, the first notes and the number of the others; nothing if there are none."""
+    """Print a title, the first notes and the number of further notes; nothing if there are none."""
     if notes:
         more = [f"and {len(notes) - _N_FIRST} more"] if len(notes) > _N_FIRST else []
         print_line(console, title)

@@ -81,8 +81,9 @@ def command_of(
 def parameters(model: type[Options], *, is_only_given: bool = False) -> list[Parameter]:
     """Parameters of the options of a model, with hidden ones for old names.
 
-    Options that are not given are None, so that the model knows which are. With `is_only_given` none is required, since
-    a settings file may have it, and values are checked only by the model, whose errors are one sentence for any source.
+    Options that are not given are None, so that the model knows which are. With `is_only_given`, no option is required,
+    since a settings file may contain it, and values are checked only by the model, whose errors are one sentence for
+    any source.
     """
     listed = []
     for name, field in model.model_fields.items():

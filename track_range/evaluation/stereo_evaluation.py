@@ -52,7 +52,7 @@ def evaluate_stereo(settings: StereoEvaluationSettings, progress: StepProgress =
         pairs = pairs if recorder is None else recorder.recorded(pairs)
         measured = measure_pairs(pairs, settings.matchers, expected=expected_disparities)
     if not len(measured.objects):
-        raise PairFileError(f"{settings.pairs}: expected objects of known disparity, found none.")
+        raise PairFileError(f"{settings.pairs}: expected objects with known disparities, found none.")
     columns, alignment = _aligned(measured, settings, known)
     matchers = matcher_figures(columns, measured.objects, seed=settings.seed)
     for name, row in matchers.items():

@@ -47,8 +47,9 @@ def run_fleet(
 ) -> FleetResult:
     """Process the clips that are not complete.
 
-    `options`: those of the runs, by name of the setting; `console`: for the progress; `process`: processes a clip in a
-    worker (default: `engine.clip_run.run_clip`). Raises UsageError: an option is invalid; FleetError, FolderLockError,
+    `options`: options of the runs, by name of the setting; `console`: for the progress; `process`: processes a clip in
+    a worker (default: `engine.clip_run.run_clip`). Raises UsageError: an option is invalid; FleetError,
+    FolderLockError,
     StorageError: the fleet cannot run, or cannot continue; RunStoppedError: the user stopped it; what is complete
     stays.
     """
@@ -91,8 +92,8 @@ class _FleetRun:
         except KeyboardInterrupt:
             self._finish("stopped", "stopped by the user")
             raise RunStoppedError(
-                f"stopped by the user; {state.skipped + state.done} of {state.total} clips are complete, the same "
-                "command continues."
+                f"stopped by the user; {state.skipped + state.done} of {state.total} clips are complete; repeat the "
+                "command to continue."
             ) from None
         except UserError as error:
             self._finish("failed", str(error))

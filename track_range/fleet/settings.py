@@ -63,8 +63,10 @@ class FleetSettings(Options):
             metavar="FILE",
         ),
     ] = None
-    dry_run: Annotated[bool, _input("Only a list of the clips, with the problems in their headers.")] = False
-    retry_failed: Annotated[bool, _output("Repetition of the clips that failed before.")] = False
+    dry_run: Annotated[bool, _input("List of the clips with problems in their headers, without processing them.")] = (
+        False
+    )
+    retry_failed: Annotated[bool, _output("Repetition of clips that failed in an earlier run.")] = False
     reports: Annotated[bool, _output("Report (report.html, summary.json) of each clip in runs/clip=NAME.")] = False
     workers: Annotated[
         int | None,
@@ -74,16 +76,19 @@ class FleetSettings(Options):
     worker_memory: Annotated[
         str,
         _workers(
-            "Memory of a worker: reserved for it, and its limit; a clip that takes more is repeated once, then fails.",
+            "Memory that is reserved for a worker and limits it; a clip that takes more is repeated once and then "
+            "fails.",
             metavar="SIZE",
         ),
     ] = "2GB"
-    gpus_per_worker: Annotated[float, _workers("GPUs of a worker, also a fraction.", metavar="N", ge=0, le=64)] = 0.0
+    gpus_per_worker: Annotated[
+        float, _workers("Number of GPUs of a worker, which may be a fraction.", metavar="N", ge=0, le=64)
+    ] = 0.0
     address: Annotated[
         str | None,
         _workers(
-            "Ray cluster: HOST:PORT, or auto for the one of this machine or of RAY_ADDRESS (default: a cluster of this "
-            "machine alone for the time of the run).",
+            "Ray cluster: HOST:PORT, or auto for the cluster on this machine or in RAY_ADDRESS (default: a cluster on "
+            "this machine for the duration of the run).",
             metavar="auto|HOST:PORT",
         ),
     ] = None
@@ -91,7 +96,7 @@ class FleetSettings(Options):
         float,
         _workers(
             "Time limit of a clip: 60 s and this number of seconds for each second of video, or for each 10 processed "
-            "frames if these are more; a clip that takes longer is repeated once and then fails.",
+            "frames, whichever is more; a clip that takes longer is repeated once and then fails.",
             metavar="FACTOR",
             ge=0.01,
             le=1e6,

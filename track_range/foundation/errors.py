@@ -31,7 +31,7 @@ class RunStoppedError(UserError):
 
 
 def call_all(steps: Iterable[Callable[[], object]]) -> None:
-    """Call functions in order, also after one of them has raised a UserError; the first such error is then raised."""
+    """Call functions in order, even after a UserError; the first such error is raised at the end."""
     errors = []
     for step in steps:
         try:

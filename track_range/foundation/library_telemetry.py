@@ -1,7 +1,7 @@
 """Telemetry of third-party packages, disabled before they are imported.
 
 A package of track-range that imports one of them calls `disable_telemetry` in its `__init__`. Packages without such a
-variable: Rerun, only the viewer of which collects statistics. `track-range view` starts it with `VIEWER_VARIABLES`.
+variable: Rerun, of which only the viewer collects statistics. `track-range view` starts it with `VIEWER_VARIABLES`.
 """
 
 from __future__ import annotations

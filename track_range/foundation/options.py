@@ -50,7 +50,7 @@ def option(description: str, **given: Any) -> Any:
     """Describe a field of `Options`, in its annotation `Annotated[TYPE, ...]`.
 
     `description` is the help text: a noun phrase with unit, allowed values and default where they are not obvious;
-    `given` are attributes of `Declaration`, and limits, which are arguments of `pydantic.Field`.
+    `given` contains attributes of `Declaration` and limits, which are arguments of `pydantic.Field`.
     """
     limits = {name: given.pop(name) for name in {"ge", "le", "gt", "lt", "min_length"} & given.keys()}
     declaration: Any = Declaration(**given)
@@ -87,7 +87,7 @@ def is_file(field: FieldInfo) -> bool:
 
 
 def choices_of(field: FieldInfo) -> Sequence[str]:
-    """The values of a field that has no others; () for other fields."""
+    """The allowed values of a field with a fixed choice; () for other fields."""
     python_type, listed = value_type(field), option_of(field).choices
     return get_args(python_type) if get_origin(python_type) is Literal else () if listed is None else tuple(listed())
 
@@ -158,7 +158,7 @@ class Options(BaseModel):
 
     @classmethod
     def keywords(cls) -> dict[str, str]:
-        """Fields by keyword in Python: the name, or that of the flag, such as `duration` for duration_s."""
+        """Fields by keyword in Python: the name, or the flag's name, such as `duration` for duration_s."""
         flags = {name: cls.flag(name).removeprefix("--").replace("-", "_") for name in cls.model_fields}
         return {keyword: name for name, of_flag in flags.items() for keyword in (of_flag, name)}
 

@@ -2,8 +2,8 @@
 
     items -> thread -> [ at most `depth` items ] -> caller
 
-Stages that release the GIL (decoding, inference, encoding) then run in parallel, and the time per frame is that of the
-slowest stage instead of the sum of all.
+Stages that release the GIL (decoding, inference, encoding) then run in parallel, and the time per frame is the time of
+the slowest stage instead of the sum of all stages.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ def prefetch(
     items end, when they raise (the error is raised in the caller), or when the returned generator is closed or
     garbage-collected; closing waits for the item in progress.
 
-    `depth` is the number of items queued or in progress, besides the one that the caller holds; below 1 it raises a
-    ValueError. For `low_priority` see `lower_thread_priority`; `name` is that of the thread, for profilers.
+    `depth` is the number of items queued or in progress, besides the item that the caller holds; ValueError below 1.
+    For `low_priority` see `lower_thread_priority`; `name` is the thread's name, for profilers.
     """
     if depth < 1:
         raise ValueError(f"depth: expected at least 1, got {depth}")

@@ -21,7 +21,7 @@ _is_owned = False  # whether the process serves track-range alone
 
 
 def is_running(pid: int) -> bool:
-    """Whether a process with this id exists, also one of another user."""
+    """Whether a process with this id exists, even if it belongs to another user."""
     try:
         os.kill(pid, 0)
     except OSError as error:
@@ -30,7 +30,7 @@ def is_running(pid: int) -> bool:
 
 
 def n_usable_cores() -> int:
-    """Cores that this process may use: those of its affinity (`taskset`), at most the quota of its container."""
+    """Cores that this process may use by its affinity (`taskset`), at most the quota of its container."""
     n_cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return max(1, math.ceil(min(n_cores, _quota_cores())))
 
@@ -72,7 +72,7 @@ def tuned_process(*, has_dense_stereo: bool = False) -> Iterator[None]:
 
     Threads wait at most 0.5 ms for the GIL. Garbage collections leave out the objects that exist before, a search among
     which takes 60 ms; where the program has frozen objects itself, nothing changes. On two cores or fewer, OpenCV uses
-    one thread, since others would interrupt inference. The end of the context restores the settings.
+    one thread, since further threads would interrupt inference. The end of the context restores the settings.
 
     Example:
         >>> import track_range as tr

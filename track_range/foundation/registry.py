@@ -31,11 +31,11 @@ class Registry(Generic[T]):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names: built-in things, registered ones, then those of entry points."""
+        """Names of built-in things, registered things, then entry points."""
         return tuple(dict.fromkeys((*self.built_in, *self.registered, *(point.name for point in self.installed))))
 
     def find(self, name: str) -> T | str | None:
-        """The thing with a name, None if there is none; built-in ones have precedence, then registered ones."""
+        """The thing with a name, None if there is none; built-in things have precedence, then registered things."""
         installed = {point.name: point.value for point in reversed(self.installed)}
         return {**installed, **self.registered, **self.built_in}.get(name)
 
@@ -50,7 +50,8 @@ class Registry(Generic[T]):
 
 
 def imported(thing: T | str) -> T:
-    """The object that a text "package.module:attribute" names; others stay. Errors of the import are passed on."""
+    """The object that a text "package.module:attribute" names; other values are returned unchanged. Errors of the
+    import are passed on."""
     if not isinstance(thing, str):
         return thing
     module, _, attribute = thing.partition(":")

@@ -1,4 +1,4 @@
-"""Version of the result files, and the check of those that another version wrote."""
+"""Version of the result files, and the check of files that another version wrote."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ def schema_version_of(metadata: Mapping[bytes, bytes] | None) -> int | None:
 
 
 def check_schema_version(path: object, metadata: Mapping[bytes, bytes] | None, error: type[Exception]) -> None:
-    """Raise `error` if the metadata of the schema of an Arrow file state a newer version; none is accepted."""
+    """Raise `error` if the metadata of the schema of an Arrow file state a newer version; metadata without a version
+    are accepted."""
     schema_version = schema_version_of(metadata)
     if schema_version is not None and schema_version > SCHEMA_VERSION:
         raise error(

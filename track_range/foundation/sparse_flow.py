@@ -1,8 +1,8 @@
 """Sparse optical flow on small grey images: corners in a grid, a mask of boxes, and pyramidal Lucas-Kanade.
 
-Tracking uses it to move predicted boxes with the background; odometry measures the motion of the camera with it. They
-share a `BackgroundFlow`, so that the small image, the corners and their flow are computed once per frame. Pixels are
-those of the small image, with pixel centres at integers.
+Tracking uses it to move predicted boxes with the background; odometry uses it to measure the motion of the camera. They
+share a `BackgroundFlow`, so that the small image, the corners and their flow are computed once per frame. Pixels belong
+to the small image, with pixel centres at integers.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def isotropy(grey: Image, points: FloatArray32) -> FloatArray32:
     """(N,) ratio of the smaller to the larger eigenvalue of the structure tensor at points (N, 2): 0 on an edge.
 
     The flow along an edge is not determined by the image (the aperture problem). `grey` (H, W) is the small image, and
-    the points are those of `ranked_corners` in it.
+    the points are its `ranked_corners`.
     """
     half = halved(grey)
     x_slope, y_slope = cv2.Sobel(half, cv2.CV_32F, 1, 0), cv2.Sobel(half, cv2.CV_32F, 0, 1)
@@ -158,8 +158,9 @@ class BackgroundFlow:
     """Corners of the background, tracked from each frame of one stream to the next, for all estimators of its motion.
 
     The first estimator that adds a frame computes the small image and the corners. An estimator that uses fewer corners
-    than another one uses the first of them; the first one that needs the flow of a frame computes it for all that any
-    of them needed in an earlier frame, since each call of Lucas-Kanade computes the pyramids of both images.
+    than another one uses the first of them; the first estimator that needs the flow of a frame computes it for all
+    corners that any estimator needed in an earlier frame, since each call of Lucas-Kanade computes the pyramids of both
+    images.
 
     The small image is halved until neither side is longer than `long_side_px`.
     """

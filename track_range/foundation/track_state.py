@@ -34,7 +34,7 @@ class TrackState:
         return np.array([key not in present for key in self._ids], np.bool_)
 
     def put(self, track_id: IntArray, state: FloatArray, *, keep_known: BoolArray) -> None:
-        """Set the states (..., N) of the tracks `track_id` (N,); forget others except those of `keep_known` (K,)."""
+        """Set the states (..., N) of the tracks `track_id` (N,); forget all other tracks except `keep_known` (K,)."""
         ids = track_id.tolist()
         n = len(ids)
         if ids == self._ids[:n] and keep_known[n:].all():

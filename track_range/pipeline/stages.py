@@ -124,7 +124,7 @@ class EgoStage:
     trusts_speed: bool = True  # whether a given speed is used
 
     def update(self, frame: Frame, xyxy_px: FloatArray, clock: StageClock, known: EgoMotion | None = None) -> Ego:
-        """The motion to the next frame, in order; the boxes (N, 4) are those of road users, which are not static.
+        """The motion to the next frame, in order; the boxes (N, 4) belong to road users, which are not static.
 
         `known` is a speed of the camera that is known for this frame only; None = as the stage measures it.
         """
@@ -224,7 +224,7 @@ class RangingStage:
 class FusionStage:
     """Fuses the distances of the methods, and filters distances and lateral positions over time.
 
-    `has_visible_boxes` is that of `MethodContext`.
+    `has_visible_boxes`: see `MethodContext`.
     """
 
     def __init__(self, camera: PinholeCamera, *, has_visible_boxes: bool = False) -> None:

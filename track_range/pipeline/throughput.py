@@ -181,5 +181,5 @@ class FrameMeter:
         return (latency, f"--realtime: {dropped}")
 
     def summary(self) -> dict[str, Any]:
-        """Entries of a live run for summary.json; none for others."""
+        """Entries of a live run for summary.json; no entries for other runs."""
         return {"latency_ms": latency_ms(self.latency_s), "frames_dropped": self.n_dropped} if self.latency_s else {}

@@ -15,7 +15,7 @@ from track_range.recording.live.address import LiveAddress, live_address
 
 @dataclass(frozen=True, slots=True)
 class Segments:
-    """At least two video files that are one recording, such as those of a dashcam."""
+    """At least two video files that form one recording, as a dashcam writes them."""
 
     paths: tuple[Path, ...]
 
@@ -35,7 +35,7 @@ class BagTopic:
 
 
 PackedLayout = Literal["side-by-side", "right-left", "top-bottom", "bottom-top"]
-"""Where one image has those of two cameras: beside or below each other, the left camera's first or second."""
+"""Where one image contains the images of two cameras: beside or below each other, the left camera's first or second."""
 
 STACKED: tuple[PackedLayout, ...] = ("top-bottom", "bottom-top")  # below each other
 REVERSED: tuple[PackedLayout, ...] = ("right-left", "bottom-top")  # the right camera's first
@@ -62,7 +62,7 @@ WholeName = Path | LiveAddress | Segments | BagTopic | VideoTrack  # a source of
 
 @dataclass(frozen=True, slots=True)
 class Half:
-    """The images of one camera in a recording whose images show those of both."""
+    """The images of one camera in a recording whose images contain both cameras."""
 
     recording: WholeName
     layout: PackedLayout
@@ -79,7 +79,8 @@ VideoName = WholeName | Half  # any source of one camera's images
 
 
 def video_name(name: str | VideoName | Sequence[str | Path]) -> VideoName:
-    """The source or pattern with this name, or several files; raises ValueError for none, or live ones in them."""
+    """The source or pattern with this name, or several files; raises ValueError for no name, or live sources among
+    several."""
     if isinstance(name, str):
         return live_address(name) or Path(name)
     if isinstance(name, Path | LiveAddress | Segments | BagTopic | VideoTrack | Half):
@@ -87,7 +88,7 @@ def video_name(name: str | VideoName | Sequence[str | Path]) -> VideoName:
     names = [video_name(part) for part in name]
     paths = tuple(part for part in names if isinstance(part, Path))
     if not names or len(paths) < len(names):
-        raise ValueError("expected one camera or stream, or video files")
+        raise ValueError("expected one camera, one stream, or video files")
     return paths[0] if len(paths) == 1 else Segments(paths)
 
 
@@ -120,7 +121,7 @@ def files_of(name: VideoName) -> list[Path]:
 
 
 def stem_of(name: VideoName) -> str:
-    """Stem of file names for a recording: that of its first file, or for a pattern the name of the folder."""
+    """Stem of file names for a recording: the stem of its first file, or for a pattern the name of the folder."""
     if isinstance(name, VideoTrack | Half):
         return stem_of(name.recording)
     if isinstance(name, LiveAddress):

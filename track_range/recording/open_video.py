@@ -32,9 +32,9 @@ def open_video(
 ) -> RecordedVideo:
     """A video file, several files that are one recording, a folder of numbered images, or a topic of a bag.
 
-    The part to read begins `start_s` after the first frame, for the right video of a pair after that of its `left` one;
-    `folder_fps` is the frame rate of a folder without times, `bayer` the filter of its images. Raises VideoError if
-    the path does not exist or is no video, nothing can be decoded, or the images are too small.
+    The part to read begins `start_s` after the first frame, for the right video of a pair after the first frame of
+    `left`; `folder_fps` is the frame rate of a folder without times, `bayer` the filter of its images. Raises
+    VideoError if the path does not exist or is no video, nothing can be decoded, or the images are too small.
     """
     video = _opened(name, folder_fps, left, bayer)
     if min(video.width_px, video.height_px) < _MIN_SIDE_PX:

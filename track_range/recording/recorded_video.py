@@ -93,8 +93,8 @@ class RecordedVideo(ABC):
     def select(self, start_s: float, duration_s: float | None = None, *, origin_s: float | None = None) -> None:
         """Read only a part, from `start_s` after `origin_s` on; most frames before it are not decoded.
 
-        Without a `duration_s` it goes to the end. `origin_s` is a file time, by default that of the first frame, and
-        for the right video of a pair `first_time_s` of the left one.
+        Without a `duration_s` it goes to the end. `origin_s` is a file time, by default the first frame's, and for the
+        right video of a pair the left video's `first_time_s`.
         """
         from_s = (self.first_time_s if origin_s is None else origin_s) + start_s
         self._part_s = from_s, math.inf if duration_s is None else from_s + duration_s

@@ -111,7 +111,7 @@ class Recording:
 
     @property
     def live(self) -> LiveVideo | None:
-        """The left video if it is a camera or a stream, or the one of both cameras, else None."""
+        """The left video, or the video of both cameras, if it is a camera or a stream, else None."""
         video = self.source.whole if isinstance(self.source, PackedPair) else self.videos[0]
         return video if isinstance(video, LiveVideo) else None
 
@@ -208,7 +208,7 @@ def open_recording(
     Raises:
         ValueError: `start_utc` is not a date and time, or no video is named.
         VideoError: a video cannot be used, or the two do not match.
-        RigError: no usable calibration, one that does not fit the images, or left and right are swapped.
+        RigError: no usable calibration, a calibration that does not fit the images, or left and right are swapped.
 
     Example:
         >>> import track_range as tr
@@ -350,7 +350,7 @@ def _drift_monitors(calibration: RecordingCalibration, pair: PairedVideos) -> tu
 
 
 def _sync_monitors(pair: PairedVideos, *, period: int = PERIOD) -> tuple[SyncMonitor]:
-    """The monitor that re-pairs frames; those of streams do not wait for others."""
+    """The monitor that re-pairs frames; frames of streams do not wait for later frames."""
     return (SyncMonitor(0 if pair.is_live else FRAMES_AHEAD, period),)
 
 

@@ -59,5 +59,5 @@ def reference_distance(
 
 
 def _counted(values: FloatArray, sigma: FloatArray, is_observed: BoolArray) -> FloatArray:
-    """Values that are positive, of detected boxes, and not too uncertain; NaN = others."""
+    """Positive values of detected boxes that are not too uncertain; NaN for other values."""
     return np.where(is_observed & (values > 0) & ~(sigma > _MAX_RELATIVE_SIGMA * values), values, np.nan)

@@ -121,7 +121,7 @@ def result_columns() -> tuple[ResultColumn, ...]:
 def _method_columns(*, is_built_in: bool) -> Iterator[ResultColumn]:
     """Columns NAME_m and NAME_sigma_m of ranging methods and of their filters if they have one, and NAME_DETAIL.
 
-    `is_built_in`: of the built-in methods that measure distances, else of all others.
+    `is_built_in`: for built-in methods that measure distances, else for all other methods.
     """
     for method in methods():
         if (method.name in METHODS.built_in and method.measures_distance) != is_built_in:

@@ -74,7 +74,7 @@ _INPUTS = ("mono", "rig", "focal_px", "detector", "detections", "curves", "truth
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunFolder:
-    """Results of a run; the events of one that was killed or has a damaged events.csv are found again from the rows."""
+    """Results of a run; events of a killed run, or of a damaged events.csv, are found again from the rows."""
 
     folder: Path
     summary: Sections  # content of summary.json, or what can be computed from the rows; its notes begin with `missing`
@@ -104,7 +104,7 @@ class DetectedCamera(BaseModel):
 
 
 def read_run_folder(folder: Path, *, is_rounded: bool = True, has_events: bool = True) -> RunFolder:
-    """Read the files of a run; OutputError if it is none, or if the file of its rows has other columns.
+    """Read the files of a run; OutputError if there is no run, or if the file of its rows has other columns.
 
     Numbers are rounded as in tracks.csv, or, without `is_rounded`, in full precision if the run wrote tracks.parquet.
     The events are read only with `has_events`.
@@ -229,8 +229,8 @@ class _Reader:
         inside = tuple(event for event in events if event.start_s <= last_s + _MAX_BEYOND_S)
         if n_beyond := len(events) - len(inside):
             self.missing.append(
-                f"{n_beyond} of {len(events)} events of {EVENTS_FILE} start after the end of the video at "
-                f"{last_s:.1f} s and were ignored."
+                f"{n_beyond} of {len(events)} events of {EVENTS_FILE} start after the end of the video at {last_s:.1f} "
+                "s and are ignored."
             )
         return inside
 

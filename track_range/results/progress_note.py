@@ -39,7 +39,7 @@ class ProgressNote:
 
 
 def read_progress(folder: Path) -> ProgressNote | None:
-    """The note in the folder of a run; None without one that can be read."""
+    """The note in the folder of a run; None without a readable note."""
     try:
         content: Any = read_json(folder / PROGRESS_FILE, UserError, "the progress note of a run")
         state, started = (str(content[key])[:_MAX_STATE_LENGTH] for key in ("state", "started"))

@@ -54,7 +54,7 @@ class MatchedTruth:
         return np.where(is_scored, values, np.nan)
 
     def of_labels(self, values: npt.NDArray[Any], unmatched: Any) -> npt.NDArray[Any]:
-        """(N,) values of the matching labels, from those of all labels; `unmatched` for rows without a match."""
+        """(N,) values of the matching labels, from the values of all labels; `unmatched` for rows without a match."""
         return np.where(self.row >= 0, np.append(values, unmatched)[self.row], unmatched)
 
 

@@ -51,8 +51,8 @@ def surrogate_rows(source: Path) -> list[dict[str, Any]]:
 def _road_users(clip: str, columns: Columns, poses: Poses | None, source: Path) -> Iterator[dict[str, Any]]:
     if len(columns["frame"]) and not ("gap_m" in columns and np.isfinite(columns["gap_m"]).any()):
         raise OutputError(
-            f"{source}: expected rows with measures of safety (gap_m), found none, as in rows of an earlier version; "
-            "repeat the run."
+            f"{source}: expected rows with measures of safety (gap_m), found none; rows of earlier versions lack these "
+            "measures: repeat the run."
         )
     ego = None if poses is None else np.stack([poses.time_s, poses.x_m, poses.y_m], axis=1)
     for rows in rows_by_track(columns):

@@ -179,12 +179,12 @@ class RunRows:
         return ended
 
     def finish(self) -> None:
-        """End the search for events after the last frame: `events` then contains those in progress as well."""
+        """End the search for events after the last frame: `events` then also contains events in progress."""
         self.events = self.finder.finish()
 
     @property
     def seconds(self) -> float:
-        """Duration of the frames in seconds, that of the last one included."""
+        """Duration of the frames in seconds, including the last frame's."""
         return self.last_s - self.starts_s + (1 / self.fps if self.fps else 0.0) if self.frame_index else 0.0
 
 
@@ -208,7 +208,7 @@ class RecentRows:
             self._rows.popleft()
 
     def events(self) -> tuple[Event, ...]:
-        """Events so far, in the order of their starts; of those in progress, what is known."""
+        """Events so far, in the order of their starts; events in progress have what is known so far."""
         return self._finder.so_far()
 
     def to_arrow(self) -> pa.Table:

@@ -130,7 +130,7 @@ def register_writer(name: str, factory: WriterFactory | str) -> None:
 
 
 def create_writer(name: str) -> ResultWriter:
-    """New writer; WriterError if there is none of that name, or it cannot be imported or lacks a part."""
+    """New writer; WriterError if there is no writer of that name, or it cannot be imported or lacks a part."""
     factory = WRITERS.find(name)
     if factory is None:
         raise WriterError(f"unknown format '{name}': expected {', '.join(WRITERS.names)}.")
@@ -195,7 +195,7 @@ def result_names() -> tuple[str, ...]:
 
 
 class OpenWriters:
-    """Writers of a run in progress, by name; a context manager that closes those that `close` did not.
+    """Writers of a run in progress, by name; a context manager that closes the writers that `close` did not close.
 
     WriterError: a writer cannot be used, or two writers write the same file. OutputError: a file cannot be created;
     also raised by `write` and `close`, with the name of the file.
@@ -223,7 +223,7 @@ class OpenWriters:
         self.close(None)
 
     def write(self, result: FrameResult) -> None:
-        """Add one frame to all files; if one of them fails, the others are cut back to the frame before."""
+        """Add one frame to all files; if one file fails, the others are cut back to the frame before."""
         for number, writer in enumerate(self._open):
             try:
                 with self._errors_of(writer):
@@ -233,7 +233,7 @@ class OpenWriters:
                 raise
 
     def discard_last(self, n_writers: int | None = None) -> None:
-        """Remove the last frame from all files that can be cut back, or from those of the first `n_writers`."""
+        """Remove the last frame from all files that can be cut back, or from the files of the first `n_writers`."""
         for writer in self._open[:n_writers]:
             with suppress(OSError):  # the error that made this necessary is the one to report
                 getattr(writer, "discard_last", lambda: None)()

@@ -17,7 +17,7 @@ _MAX_S = 30.0  # longest part of the drive that is read
 def check_baseline(
     videos: tuple[Path, Path], settings: AlignmentSettings | RigCheckSettings, console: Console
 ) -> BaselineCheck:
-    """Check the baseline in the first part of a drive; errors are those of a run."""
+    """Check the baseline in the first part of a drive; raises the errors of a run."""
     given = {name: getattr(settings, name) for name in ("rig", "detector", "detections", "ego_speed")}
     given = {name: str(value) for name, value in given.items() if value is not None}
     if videos[0] == videos[1]:

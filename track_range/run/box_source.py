@@ -144,7 +144,7 @@ def _recorded(path: Path, class_id: tuple[int, ...], recording: Recording) -> Bo
 
 
 def _rectified(recorded: RecordedDetections, recording: Recording) -> RecordedDetections:
-    """The boxes in rectified pixels; those of a wide lens are cut at the edges of its undistorted images."""
+    """The boxes in rectified pixels; boxes of a wide lens are cut at the edges of the undistorted images."""
     xyxy_px = recording.calibration.rectifier.left_boxes(recorded.detections.xyxy_px)
     rows = np.flatnonzero(are_valid_boxes(xyxy_px))  # those behind the view are NaN
     xyxy_px = xyxy_px[rows]

@@ -33,8 +33,8 @@ from track_range.stereo.odometry.stereo_odometry import StereoOdometry
 from track_range.tracking.registry import ObjectTracker, create_tracker
 
 _SIDE_VIEW = (
-    "--yaw-deg: in a view to the side there are no lane lines, no horizon from image motion, no times to collision and "
-    "no collision warnings; distances are along the axis of the view."
+    "--yaw-deg: a view to the side has no lane lines, no horizon from image motion, no times to collision and no "
+    "collision warnings; distances are along the axis of the view."
 )
 
 
@@ -77,10 +77,10 @@ def open_pipeline(
 ) -> FramePipeline:
     """The pipeline of the settings, with the methods that the calibration allows.
 
-    `tracker` replaces that of the settings, `alignment` that of the calibration. With `measures_speed`, an unknown
-    speed is measured from the images where a scale is known; with `needs_candidates`, results have all boxes, for
-    anonymization. ModelError: the re-identification or lane network cannot be used; TrackerError: the tracker cannot be
-    created; MethodError: ranging methods of other packages depend on each other in a cycle.
+    `tracker` replaces the tracker of the settings, `alignment` the alignment of the calibration. With `measures_speed`,
+    an unknown speed is measured from the images where a scale is known; with `needs_candidates`, results have all
+    boxes, for anonymization. ModelError: the re-identification or lane network cannot be used; TrackerError: the
+    tracker cannot be created; MethodError: ranging methods of other packages depend on each other in a cycle.
     """
     yaw_deg, aligned = calibration.view.yaw_deg, calibration.alignment
     is_ahead = yaw_deg == 0

@@ -61,8 +61,8 @@ class Findings:
         if not notes and detect is not None and self._is_upside_down(detect):
             notes += (
                 f"The images appear to be upside down: in a sample of {len(self._kept)} more road users are found "
-                "after a rotation by 180 degrees. Rotate the video, as with ffmpeg -i IN -vf hflip,vflip OUT.mp4: "
-                "until then few road users are found, and distances by the road are wrong.",
+                "after a rotation by 180 degrees. Rotate the video, for example with ffmpeg -i IN -vf hflip,vflip "
+                "OUT.mp4: until then few road users are found, and distances by the road are wrong.",
             )
         if not self._n_boxes and not notes:
             notes += (
@@ -85,12 +85,12 @@ class Findings:
         if disparity_px < _MIN_DISPARITY_PX:
             return f"The road users are about {distance_m:.0f} m away, where their disparity is {disparity_px:.1f} px."
         return (
-            "Left and right images do not match there: check that both show the same scene at the same time, without "
-            "an obstacle, and that the rig is that of these cameras (track-range rig check)."
+            "Left and right images do not match on the road users: check that both show the same scene at the same "
+            "time, without an obstacle, and that the rig belongs to these cameras (track-range rig check)."
         )
 
     def _is_upside_down(self, detect: Callable[[Frame], Detections]) -> bool:
-        """Whether the detector finds more road users in rotated images; only tried if something else speaks for it."""
+        """Whether the detector finds more road users in rotated images; tried only if there is other evidence."""
         is_brighter_below = np.median(self._left, axis=0)[2] > _BRIGHTER
         if not is_brighter_below and self._n_boxes:
             return False

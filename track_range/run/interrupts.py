@@ -53,7 +53,7 @@ def ignore_interrupts() -> AbstractContextManager[None]:
 
 
 def _active_signals() -> list[signal.Signals]:
-    """SIGINT and SIGTERM, without those that are ignored already (background job of a shell, nohup)."""
+    """SIGINT and SIGTERM, without signals that are already ignored (background job of a shell, nohup)."""
     return [number for number in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(number) != signal.SIG_IGN]
 
 

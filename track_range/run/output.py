@@ -42,11 +42,11 @@ _NOTE_INTERVAL_S = 1.0  # minimum time between two notes on the number of frames
 class RunOutput:
     """Files of a run, from the opening of its inputs to its end: `start`, `write` for each frame, `finish`.
 
-    The folder is locked, and contains progress.json and, unless the folder has one of an earlier run, settings.yaml.
-    Results of an earlier run remain until `start`, so that a run with unusable inputs does not remove them; such a run
-    also removes what it created. As a context manager, it closes what `finish` did not, and removes progress.json and
-    the lock. Without a folder, nothing is written. A `rig` that was not read from a file is written to rig.yaml, which
-    settings.yaml then names.
+    The folder is locked, and contains progress.json and, unless the folder has the one of an earlier run,
+    settings.yaml. Results of an earlier run remain until `start`, so that a run with unusable inputs does not remove
+    them; such a run also removes what it created. As a context manager, it closes what `finish` did not, and removes
+    progress.json and the lock. Without a folder, nothing is written. A `rig` that was not read from a file is written
+    to rig.yaml, which settings.yaml then names.
 
     FolderLockError: another run is writing to the folder; OutputError: the folder or a file cannot be written to, or is
     an input; WriterError: one of the result writers cannot be used.
@@ -142,8 +142,8 @@ class RunOutput:
         """Write the rows of a frame, pass it to the threads that write the videos, and write the events that ended.
 
         The rows are written only if the videos of the earlier frames did not fail; if the rows of one file fail, or
-        `record`, those of the others are removed. `record` adds the frame to the rows of the run, and returns the
-        events that ended. The first OutputError or VideoError of this or an earlier frame is raised.
+        `record`, the rows of the other files are removed. `record` adds the frame to the rows of the run, and returns
+        the events that ended. The first OutputError or VideoError of this or an earlier frame is raised.
         """
         if self.folder is None:
             record(result)
@@ -178,14 +178,14 @@ class RunOutput:
             self._events.add(ended)
 
     def finish_videos(self) -> None:
-        """Draw and encode the queued frames, and close the videos; VideoError if one of them failed."""
+        """Draw and encode the queued frames, and close the videos; VideoError if a video failed."""
         self._videos_open.close()
 
     def finish(self, summary: Mapping[str, Any], columns: Columns) -> None:
         """Write summary.json, report.html, the events and the Markdown tables, and close the files of the rows.
 
-        If a file cannot be written, the others are, and the first OutputError is raised. `columns`: rows of the run,
-        with the ground truth if there is one.
+        If a file cannot be written, the other files are still written, and the first OutputError is raised. `columns`:
+        rows of the run, with the ground truth if there is one.
         """
         if self.folder is None:
             return

@@ -74,8 +74,8 @@ class FrameError(UserError, ValueError):
 class Pipeline:
     """Detection, tracking, ranging, fusion, filters and warnings of one drive, frame by frame.
 
-    `Pipeline.stereo` and `Pipeline.mono` make one; it is a context manager, for use in one thread. Results are those of
-    `Run` with the same options and alignment.
+    `Pipeline.stereo` and `Pipeline.mono` make one; it is a context manager, for use in one thread. Results equal the
+    results of `Run` with the same options and alignment.
 
     Example:
         >>> import track_range as tr
@@ -219,7 +219,7 @@ class Pipeline:
         return boxes if self._opened is None else (*boxes, *self._opened.notes)
 
     def events(self) -> tuple[Event, ...]:
-        """Events of the last `keep_s` seconds, those in progress included; times count from the first frame."""
+        """Events of the last `keep_s` seconds, including events in progress; times count from the first frame."""
         return self._rows.events()
 
     def to_arrow(self) -> pa.Table:

@@ -87,7 +87,8 @@ class Run:
         Args:
             settings: files are written if `out` is set.
             detector: an object with `detect(image) -> Detections`, instead of the model of the settings.
-            tracker: an object with `update(detections, time_s, image) -> Tracks`, instead of that in the settings.
+            tracker: an object with `update(detections, time_s, image) -> Tracks`, instead of the tracker in the
+            settings.
             rig: models of the cameras, instead of a calibration file.
             progress: whether to show progress bars (also in a notebook), or the Rich console to show them on.
             opened_detectors: detectors that are used again instead of being opened for this run.

@@ -64,15 +64,16 @@ _LIBRARIES = ("track-range", "numpy", "opencv-python-headless", "onnxruntime", "
 _INPUTS = ("left", "right", "mono", "rig", "focal_px", "detector", "detections", "curves", "truth")
 _NO_POSITIONS = "--keep-gps: the recording has no telemetry with positions that can be used."
 ANONYMIZED = (
-    "Anonymized: the heads of detected or tracked people and riders and the number plates of such vehicles are covered "
-    "in all images of the results. What is not detected is not covered: check the videos before you share them."
+    "Anonymized: the heads of detected or tracked people and riders and the number plates of detected or tracked "
+    "vehicles are covered in all images of the results. Undetected heads and plates are not covered: check the videos "
+    "before you share them."
 )
 
 
 class RunSession:
     """Opened inputs of a run, and what its finished frames gave; an unusable input raises its error.
 
-    `detector`, `tracker` and `rig` replace those of the settings; `report` is called with the name of each task of the
+    `detector`, `tracker` and `rig` replace the settings' choices; `report` is called with the name of each task of the
     opening. `wall_s` are the seconds for opening the videos and processing all frames, without loading the network and
     without the estimation of the alignment.
     """
@@ -250,7 +251,7 @@ class RunSession:
             *(note for note in pipeline.notes if note not in (*boxes, *lanes)),
             *lanes,
             *([] if speed is None else [speed]),
-            *([] if odometry is None else [f"Ego speed from {odometry.source}; --ego-speed off ignores it."]),
+            *([] if odometry is None else [f"Ego speed from {odometry.source}; --ego-speed off ignores this source."]),
             *self.meter.notes,
         ]
         return [self._without_paths(note) for note in notes] if settings.anonymize else notes
@@ -264,7 +265,7 @@ class RunSession:
         return note.replace(str(Path.home()), "~")
 
     def _notes_on_frames(self, columns: Columns) -> tuple[str, ...]:
-        """Notes on files of boxes or labels whose frame numbers do not fit those of the video."""
+        """Notes on files of boxes or labels whose frame numbers do not fit the video."""
         processed = np.array(self.rows.frame_index, np.int64)
         if not len(processed):
             return ()
@@ -275,13 +276,13 @@ class RunSession:
         labelled = {option: frames for option, frames in labelled.items() if len(frames)}
         missed = [
             f"{option} has boxes for frames {frames.min()} to {frames.max()}, but none for the frames of the video, "
-            f"{first} to {last}: check that it belongs to this video and how it counts frames."
+            f"{first} to {last}: check that the boxes belong to this video, and whether their frame numbers start at 0."
             for option, frames in labelled.items()
             if not np.isin(frames, processed).any()
         ]
         beyond = [
-            f"{option} has boxes up to frame {frames.max()}, but the last frame of the video is {last}; boxes "
-            "beyond it are ignored."
+            f"{option} has boxes up to frame {frames.max()}, but the last frame of the video is {last}; later boxes "
+            "are ignored."
             for option, frames in labelled.items()
             if is_whole and frames.min() <= last < frames.max()
         ]

@@ -1,6 +1,6 @@
 """RunSettings: all options of a run in one object, and the rules between them.
 
-The options of input, detection and tracking are in `run.options`; those of ranging and output are here.
+The options of input, detection and tracking are in `run.options`; options of ranging and output are here.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ class RangingOptions(Options):
     region: Annotated[
         Region | None,
         _clip_option(
-            "Region of the recording, whose vehicles, people and lanes differ in size from others (default: that of "
-            "its GPS positions, which --ego-speed auto reads, else unknown: larger sigmas of one camera). Curves of a "
-            "file have their own sizes."
+            "Region of the recording, whose vehicles, people and lanes differ in size from others (default: from GPS "
+            "positions, which --ego-speed auto reads; else unknown, with larger sigmas of one camera). Size curves in "
+            "a file override the region."
         ),
     ] = None
     sgbm: Annotated[
@@ -153,12 +153,12 @@ class OutputOptions(Options):
     anonymize: Annotated[
         bool,
         option(
-            "Blur of heads and number plates in all images of the results, irreversibly, and no folder names in them; "
-            "what is not detected is not covered."
+            "Blur of heads and number plates in all images of the results, irreversibly, and no folder names in the "
+            "results; undetected heads and plates are not covered."
         ),
     ] = False
     mcap_profile: Annotated[
-        str, _file_option("Message types of run.mcap: those of Foxglove, or of ROS 2 (CDR).", choices=PROFILES.keys)
+        str, _file_option("Message types of run.mcap: Foxglove's, or ROS 2's (CDR).", choices=PROFILES.keys)
     ] = "foxglove"
     mcap_images: Annotated[
         bool, _file_option("Images in run.mcap, as JPEG.", flag="--mcap-images/--no-mcap-images")
@@ -173,7 +173,9 @@ class OutputOptions(Options):
     ] = None
     keep_gps: Annotated[
         bool,
-        _file_option("Positions of the recording in the results, telemetry.csv; without this option there are none."),
+        _file_option(
+            "Output of the recording's positions in telemetry.csv; without this option, results have no positions."
+        ),
     ] = False
     overlay: Annotated[bool, _file_option("Annotated video, overlay.mp4.", flag="--overlay/--no-overlay")] = True
     clips: Annotated[

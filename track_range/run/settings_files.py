@@ -29,7 +29,7 @@ from track_range.run.settings import PipelineOptions, RunSettings
 _FILES = RunSettings.fields_where(is_file)
 _INPUT_FILES = _FILES - RunSettings.fields_where(lambda field: option_of(field).is_output)
 _PATHS = RunSettings.fields_where(lambda field: value_type(field) is Path)
-"""Settings that are, or may be, paths; those that the run reads; and those that are always paths."""
+"""Settings that are, or may be, paths; settings that the run reads; and settings that are always paths."""
 
 
 def settings_from(options: Mapping[str, Any], file: Path | None = None) -> RunSettings:

@@ -9,7 +9,7 @@ masks/, mask_ids/                                   optional: visible heads and 
 
 With wide lenses, boxes of the ground truth are in pixels of the undistorted images of a run without --fov-deg.
 
-Frame numbers are those of the left file: dropped frames have no number and no ground truth.
+Frame numbers count the frames of the left file: dropped frames have no number and no ground truth.
 """
 
 from __future__ import annotations

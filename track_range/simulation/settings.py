@@ -43,7 +43,7 @@ class Faults(Options):
         float, _fault("Fraction of frames dropped by each camera, from 0 to 0.9.", "--drop-frames", "FRACTION", 0, 0.9)
     ] = 0.0
     late_s: Annotated[
-        float, _fault("Delay of the right camera in seconds that its timestamps do not show.", "--late", "S", -1, 1)
+        float, _fault("Delay of the right camera in seconds, which its timestamps do not show.", "--late", "S", -1, 1)
     ] = 0.0
     wrong_rig: Annotated[
         Literal["baseline", "focal", "principal"] | None,
@@ -80,7 +80,7 @@ class _Recording(Options):
     stereo_layout: Annotated[
         PackedLayout | None,
         option(
-            "One video with the images of both cameras, both.mp4, instead of left.mp4 and right.mp4: where they are.",
+            "Layout of one video with the images of both cameras, both.mp4, instead of left.mp4 and right.mp4.",
             panel=_OUTPUT,
         ),
     ] = None

@@ -106,8 +106,8 @@ def _rig(path: Path) -> tuple[StereoRig, tuple[str, ...]]:
         parallel = StereoRig.rectified(rig.left, rig.baseline_m)
         if rig.left != rig.right or not np.allclose(rig.right_from_left, parallel.right_from_left, atol=1e-5):
             raise RigError(
-                f"{path}: expected equal, parallel cameras side by side for the simulation of wide lenses, found "
-                "others; copy 'left' to 'right' and use the identity as rotation."
+                f"{path}: expected equal, parallel cameras side by side for the simulation of wide lenses, found other "
+                "cameras; copy 'left' to 'right' and use the identity as rotation."
             )
         return with_even_size(parallel), tuple(notes)
     if not _is_nearly_rectified(rig):

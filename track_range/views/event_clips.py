@@ -133,7 +133,7 @@ _Packet: TypeAlias = "av.Packet[VideoStream]"
 def _packets_between(
     container: InputContainer, stream: VideoStream, start_s: float, end_s: float
 ) -> tuple[list[_Packet], list[_Packet]]:
-    """Packets between two times: those before the first keyframe, and the others; valid while the video is open."""
+    """Packets between two times: before the first keyframe, and from there on; valid while the video is open."""
     ticks_per_s = 1 / (stream.time_base or Fraction(1))
     first_tick, last_tick = round(start_s * ticks_per_s), round(end_s * ticks_per_s)
     before: list[_Packet] = []
@@ -150,7 +150,7 @@ def _packets_between(
 
 
 def _packets(container: InputContainer, stream: VideoStream) -> Iterator[_Packet]:
-    """Packets of a video, without the one that marks its end, and without one that is cut off there."""
+    """Packets of a video, without the end marker and without a cut-off last packet."""
     return (packet for packet in container.demux(stream) if packet.pts is not None and not packet.is_corrupt)
 
 

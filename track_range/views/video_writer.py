@@ -107,9 +107,9 @@ class VideoWriter:
     def write(self, image: Image, time_s: float) -> None:
         """Append an image; times in the file count from the first one.
 
-        `image`: (height_px, width_px, 3) uint8 BGR. `time_s`: time of the image, later than that of the previous one.
-        Raises ValueError: another shape, a time that does not increase, or a closed writer. Raises VideoError: the file
-        cannot be written.
+        `image`: (height_px, width_px, 3) uint8 BGR. `time_s`: time of the image, later than the time of the previous
+        image. Raises ValueError: another shape, a time that does not increase, or a closed writer. Raises VideoError:
+        the file cannot be written.
         """
         check_shape("image", image, self._shape)
         if not self._is_open:

@@ -97,7 +97,7 @@ def test_order_by_creation_times(tmp_path: Path, film: Film) -> None:
         film(tmp_path / name, [number / 10 for number in range(10)], metadata={"creation_time": time})
     reader = open_video(Segments((tmp_path / "a.mp4", tmp_path / "b.mp4")))
     assert [segment.path.name for segment in reader._segments] == ["b.mp4", "a.mp4"]  # type: ignore[union-attr]
-    assert "another order" in reader.notes[0]
+    assert "order of the given files" in reader.notes[0]
 
 
 def test_order_without_times(tmp_path: Path, trip: Trip, number_in: Callable[..., int]) -> None:

@@ -68,7 +68,7 @@ def test_upside_down_images_with_some_boxes():
     [
         (SKY * 0, 20.0, "The right images are black"),
         (SKY, 400.0, "about 400 m away, where their disparity is 0.9 px"),
-        (SKY, 20.0, "images do not match there"),
+        (SKY, 20.0, "images do not match on the road users"),
     ],
 )
 def test_a_pair_that_measures_nothing(right, distance_m, words):

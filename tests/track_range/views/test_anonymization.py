@@ -312,7 +312,7 @@ def test_results_of_a_run_are_anonymized(shared):
         assert np.abs(np.diff(frame.frame.left[60:100].astype(int), axis=0)).mean() > 30
         assert not frame.frame.left.flags.writeable
     assert run.summary["inputs"]["mono"] == "film.mp4"
-    assert any("not detected" in note for note in run.summary["notes"])
+    assert any("Undetected" in note for note in run.summary["notes"])
 
 
 @pytest.mark.slow
@@ -322,7 +322,7 @@ def test_files_contain_neither_folders_nor_metadata(shared, cli, tmp_path):
     formats = ("--write", "csv,mot,parquet,kitti,mcap,rrd", "--mcap-images")
     status, printed, complaint = cli(*inputs, *formats, "--anonymize", "--out", out)
     assert status == 0, complaint
-    assert "not detected" in printed
+    assert "Undetected" in printed
     assert any("rig.yaml" in note for note in json.loads((out / "summary.json").read_text())["notes"])
     for file in out.iterdir():
         content = file.read_bytes()

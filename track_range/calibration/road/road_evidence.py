@@ -172,7 +172,7 @@ class RoadEvidence:
 
 
 def _row(rows_px: Sequence[float], common_px: float, source: str) -> HorizonRow | None:
-    """Median of the rows; its sigma is that of the median of independent rows, and a part common to all."""
+    """Median of the rows; its sigma covers independent rows and a part common to all rows."""
     if len(rows_px) < _MIN_ROWS:
         return None
     values: FloatArray = np.array(rows_px)

@@ -56,8 +56,8 @@ def _check(settings: CalibrationSettings) -> None:
     fields = CalibrationSettings.model_fields
     for name in _BOARD_OPTIONS if settings.is_from_road else _ROAD_OPTIONS:
         if getattr(settings, name) != fields[name].default:
-            expected = "expected --board" if settings.is_from_road else "expected no --board and one camera"
-            raise UsageError(f"{settings.flag(name)}: {expected}; omit the option, or correct the other ones.")
+            expected = "expected --board" if settings.is_from_road else "expected one camera and no --board"
+            raise UsageError(f"{settings.flag(name)}: {expected}; omit this option, or correct the other options.")
     if settings.is_from_road:
         return
     if settings.lens_terms not in _N_COEFFICIENTS:
@@ -145,8 +145,8 @@ def _print_pair(pair: PairCalibration) -> None:
         console,
         f"baseline {1000 * pair.rig.baseline_m:.2f} ± {1000 * pair.baseline_std_m:.2f} mm, given the size of the "
         f"squares; residual {pair.rms_px:.3f} px RMS over {len(pair.fits)} pairs.",
-        f"Residuals of the cameras calibrated alone: left {left_px:.3f}, right {right_px:.3f} px RMS; a larger one of "
-        "the pairs is due to boards that moved between their images.",
+        f"Residuals of the cameras calibrated alone: left {left_px:.3f}, right {right_px:.3f} px RMS; a larger "
+        "residual of the pairs means that boards moved between the images.",
         f"Vertical offset after rectification: {pair.row_error_px:.3f} px on average, "
         f"{pair.held_out_row_error_px:.3f} px in pairs held out of the fit.",
     )

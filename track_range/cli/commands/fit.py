@@ -43,7 +43,8 @@ class FitOptions(FitSettings):
         str | None,
         option(
             "Detector whose boxes are compared with the labels of --images, a file or a name from `track-range models "
-            "list`: how much too low or wide they are, by class, written to MODEL.yaml beside it for every later run.",
+            "list`. The mean errors of height and width by class are written to MODEL.yaml beside the model, for all "
+            "later runs.",
             metavar="FILE|NAME",
         ),
     ] = None
@@ -65,7 +66,7 @@ class FitOptions(FitSettings):
 
 def _fit_detector_boxes(options: FitOptions) -> None:
     if options.images is None or options.labels is None:
-        raise UsageError("--detector-boxes requires --images and --labels, the labelled images to measure it on.")
+        raise UsageError("--detector-boxes requires --images and --labels, the labelled images for the measurement.")
     path = ready_model(options.detector_boxes or "", console)
     out = options.out or path.with_suffix(".yaml")
     if options.out is None and path.parent == PACKAGED_FOLDER:
@@ -92,8 +93,8 @@ def _fit_detector_boxes(options: FitOptions) -> None:
     write_text(out, yaml_text(content, default_flow_style=None))
     print_grid(console, _box_error_grid(fits))
     notes = [
-        "Logarithms of box / label: negative = boxes are too small. ± is the deviation to expect in another drive, "
-        "larger for labels drawn around what is visible (all but KITTI's).",
+        "Logarithms of box / label: negative = boxes are too small. ± is the deviation to expect in another drive; it "
+        "is larger for labels drawn around visible parts (all except KITTI's).",
         *(f"{counted(len(frames.unreadable), 'image')} skipped, the first: {one}" for one in frames.unreadable[:1]),
     ]
     print_notes(console, notes)

@@ -16,7 +16,12 @@ class ReportOptions(Options):
 
     folders: Annotated[
         tuple[Path, ...],
-        option("Result folder of a run; several are compared.", metavar="DIR...", is_argument=True, is_repeated=True),
+        option(
+            "Result folder of a run; several folders are compared.",
+            metavar="DIR...",
+            is_argument=True,
+            is_repeated=True,
+        ),
     ]
     out: Annotated[
         Path | None,

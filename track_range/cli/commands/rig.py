@@ -26,7 +26,9 @@ from track_range.stereo.rig_formats.template import rig_template
 from track_range.views.report.tables import Column, grid_of
 
 _Size = Annotated[str | None, option("Size of the images in pixels, for formats without it.", metavar="WIDTHxHEIGHT")]
-_Unit = Annotated[str | None, option("Unit of the lengths in the file, if another one was read.", metavar="mm|cm|m")]
+_Unit = Annotated[
+    str | None, option("Unit of the lengths in the file, if track-range reads the wrong unit.", metavar="mm|cm|m")
+]
 
 
 class ConvertOptions(Options):
@@ -213,13 +215,13 @@ app = lazy_app(
         ),
         "template": Lazy(
             "track_range.cli.commands.rig:template_app",
-            "Write a rig.yaml with what could be read of a file, and blanks for the rest.",
+            "Write a rig.yaml with the values that could be read from a file, and blanks for the rest.",
             examples=("track-range rig template calib.yml --out rig.yaml",),
         ),
         "check": Lazy(
             "track_range.cli.commands.align:check_app",
             "Measure on a drive how far distances are off with a rig.",
-            "The drive goes past static objects; nothing in it has to be known. `align` writes the correction.",
+            "The drive goes past static objects; no distance has to be known. `align` writes the correction.",
             ("track-range rig check --stereo left.mp4 right.mp4 --rig rig.yaml",),
         ),
         "convert": Lazy(

@@ -31,8 +31,8 @@ class RunView(Options):
     views: Annotated[
         str | None,
         option(
-            "With --mono, several runs on one video of a wide lens, in these directions in degrees to the right of its "
-            "axis, in folders of the output folder, which also gets views.csv with the tracks of all of them.",
+            "With --mono, several runs on one video of a wide lens, in these directions in degrees to the right of "
+            "its axis, in subfolders of the output folder; views.csv in the output folder has the tracks of all runs.",
             metavar="DEG,DEG,...",
             panel="Input",
         ),
@@ -102,7 +102,7 @@ def run_and_print(
             with run:
                 _process(run, console, view, print_results)
         except KeyboardInterrupt:
-            state = "; the results so far were written." if run.is_finished else " before any frame was processed."
+            state = "; all results until then were written." if run.is_finished else " before any frame was processed."
             raise RunStoppedError(f"stopped by the user{state}") from None
     return settings.out_dir
 
@@ -172,7 +172,7 @@ def _with_sources(given: dict[str, Any]) -> dict[str, Any]:
     if sides := given.get("stereo"):
         left, right = sides[0::2], [side for side in sides[1::2] if side]
         if len(left) > 1 and 0 < len(right) < len(left):
-            raise UsageError("--stereo: expected LEFT and RIGHT each time, found a single value.")
+            raise UsageError("--stereo: expected LEFT and RIGHT for each option, found a single value.")
         pair = (left, right) if right else (left,)
         sources["stereo"] = tuple(side[0] if len(side) == 1 else side for side in pair)
     return sources

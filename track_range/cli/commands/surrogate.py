@@ -35,7 +35,9 @@ class SurrogateOptions(Options):
         option("Result folder of a run, or local folder of a fleet.", metavar="RUN|FLEET", is_argument=True),
     ]
     csv: Annotated[Path | None, option("CSV file to write, one row per road user.", metavar="FILE")] = None
-    parquet: Annotated[Path | None, option("The same as Parquet, in full precision.", metavar="FILE")] = None
+    parquet: Annotated[Path | None, option("Parquet file with the same rows, in full precision.", metavar="FILE")] = (
+        None
+    )
 
 
 def _grid(title: str, corner: str, names: Sequence[str], rows: Sequence[Mapping[str, Any]], *more: ColumnSpec) -> Grid:
@@ -58,7 +60,8 @@ def _surrogate(options: SurrogateOptions) -> None:
     print_grid(console, _grid(title, "road user", names, shown, ("at s", "min_ttc_front_s_at_s")))
     print_line(
         console,
-        "All are from the front of the ego vehicle. The gap is of all road users, the others are of those on its path.",
+        "All distances are from the front of the ego vehicle. The gap covers all road users, all other measures only "
+        "road users on the path.",
     )
     for path, is_parquet in ((options.csv, False), (options.parquet, True)):
         if path is not None:

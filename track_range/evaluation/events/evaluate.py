@@ -44,8 +44,11 @@ BOX_FILES = ("truth.csv", "truth.txt")  # labels of a simulated drive beside its
 _MAX_SUMMARY_BYTES = 50_000_000
 _MAX_HOURS = 1e6
 
-BY_BOXES = "object of a warning: that whose labelled boxes its track overlaps most often (IoU at least 0.3)"
-BY_TIME = "object of a warning: that of a contact of the same class with its number, or at most 10 s after it"
+BY_BOXES = "object of a warning: the object whose labelled boxes its track overlaps most often (IoU at least 0.3)"
+BY_TIME = (
+    "object of a warning: the object of a contact of the same class with the same number, or at most 10 s after the "
+    "warning"
+)
 
 
 def evaluate_events(settings: EventEvaluationSettings) -> dict[str, Any]:
@@ -109,7 +112,7 @@ def _is_file_of_events(path: Path) -> bool:
 
 @dataclass(slots=True)
 class _Inputs:
-    """Files in the folder of the events and in that of their ground truth (`drive`)."""
+    """Files in the folder of the events and in the folder of their ground truth (`drive`)."""
 
     folder: Path
     drive: Path
@@ -151,7 +154,7 @@ class _Inputs:
             try:
                 summary = read_json(file, OutputError, "the summary of a run", max_bytes=_MAX_SUMMARY_BYTES)
             except OutputError as error:
-                self.notes.append(f"The duration is that of the rows ({str(error).rstrip('.')}).")
+                self.notes.append(f"The duration is taken from the rows ({str(error).rstrip('.')}).")
             else:
                 hours = _number(summary, "events", "hours")
                 if hours is not None and 0 < hours < _MAX_HOURS:
@@ -166,13 +169,13 @@ class _Inputs:
         return (float(time_s[-1] - time_s[0]) + step_s) / 3600 or None
 
     def seen(self, contacts: Sequence[Contact], warned: Container[int | None]) -> list[Contact]:
-        """Contacts in the processed part of the video, and those with a warning on their object; a note on others."""
+        """Contacts in the processed part of the video or with a warning on their object; a note on other contacts."""
         from_s, to_s = self.starts_s, self.ends_s
         chosen = [row for row in contacts if from_s <= row.contact_s <= to_s or row.object_id in warned]
         if len(chosen) < len(contacts):
             self.notes.append(
                 f"{len(contacts) - len(chosen)} of {counted(len(contacts), 'contact')} are outside the processed part "
-                f"of the video, {from_s:.1f} to {to_s:.1f} s, and do not count."
+                f"of the video, {from_s:.1f} to {to_s:.1f} s, and are not evaluated."
             )
         return chosen
 
@@ -182,7 +185,7 @@ class _Inputs:
         if n_beyond:
             self.notes.append(
                 f"{n_beyond} of {len(events)} events start after the end of the video at {self.last_s:.1f} s; check "
-                "that the events belong to it."
+                "that the events belong to this video."
             )
         files = {"events": str(settings.events), "truth": str(settings.truth)}
         return {**files, "protocol": protocol, "notes": self.notes}
@@ -191,11 +194,13 @@ class _Inputs:
         """Time of the last event or contact as the smallest possible duration, with a note; None without any."""
         last_s = max([*(event.end_s for event in events), *times_s], default=0.0)
         if last_s <= 0:
-            self.notes.append("The duration of the video is unknown (--hours), and so is the rate of false alarms.")
+            self.notes.append(
+                "The duration of the video is unknown, so the rate of false alarms is unknown too; give --hours."
+            )
             return None
         self.notes.append(
-            f"The duration of the video is unknown (--hours); it is at least {last_s:.1f} s, until the last event or "
-            "contact, so the rate of false alarms is an upper limit."
+            f"The duration of the video is unknown (give --hours); it is at least {last_s:.1f} s, until the last event "
+            "or contact, so the rate of false alarms is an upper limit."
         )
         return last_s / 3600
 

@@ -1,24 +1,26 @@
 """Hits, misses, false alarms and lead times of warnings and events.
 
-A warning is an event of one of `WARNING_KINDS` with a `warning_s`, its lead the time from `warning_s` to the contact.
+A warning is an event of one of `WARNING_KINDS` with a `warning_s`, and its lead is the time from `warning_s` to the
+contact.
 
     hit           contact with a warning on its object at least `min_lead_s` before it; its lead is that of the first
     miss          contact without one; a later warning is too late
     false alarm   warning on an object that has no contact
 
 An object with several contacts: a warning belongs to the next contact after it, or to the last one. Each contact counts
-for one kind: that of its first warning in time; a miss for that of its first late warning, else for the kind that its
-class leads to expect (person: pedestrian_on_path, others: forward_collision). So the counts of the kinds add up to
-those overall.
+for one kind: the kind of its first warning in time; a miss counts for the kind of its first late warning, else for the
+kind that its class leads to expect (person: pedestrian_on_path, others: forward_collision). So the counts of the kinds
+add up to those overall.
 
 Labelled events are matched to events of the same kind and class one to one, so that as many as possible match, if they
 overlap in time or are at most `TOLERANCE_S` apart. The lead is the time from `warning_s` (without a warning from
 `start_s`) to `peak_s` of the labelled event.
 
-The object of an event: with the tracks of the run and labelled boxes, the one that its track overlaps most often (IoU
-at least `MIN_IOU`) from `MARGIN_S` before the event to its end; none if it overlaps no object in at least
-`MIN_FRACTION` of these frames. Without them, a warning belongs to a contact of the same class group and number; if none
-has the number of the contact, to those of the same class group whose contact is at most `WINDOW_S` after the warning.
+The object of an event: with the tracks of the run and labelled boxes, the object that its track overlaps most often
+(IoU at least `MIN_IOU`) from `MARGIN_S` before the event to its end; none if it overlaps no object in at least
+`MIN_FRACTION` of these frames. Without tracks or labels, a warning belongs to a contact of the same class group and
+number; if no warning has the number of the contact, to contacts of the same class group whose contact is at most
+`WINDOW_S` after the warning.
 """
 
 from __future__ import annotations
@@ -224,7 +226,7 @@ WINDOW_S, SAME_ID_WINDOW_S = 10.0, 30.0  # from a warning to a contact of its cl
 def read_boxes(path: Path) -> Truth:
     """Objects of a file of labels in any format, in rectified pixels; `LabelFileError` if it cannot be read.
 
-    All count, and those of which less than half is visible have no distance.
+    All objects count, and objects that are less than half visible have no distance.
     """
     if path.is_file() and has_label_columns(path):
         labels = read_csv_labels(path)

@@ -24,7 +24,7 @@ class EventEvaluationSettings(Options):
         ),
     ]
     tracks: Annotated[
-        Path | None, option("Tracks of the run, tracks.csv or tracks.parquet (default: that beside the events).")
+        Path | None, option("Tracks of the run, tracks.csv or tracks.parquet (default: the tracks beside the events).")
     ] = None
     boxes: Annotated[
         Path | None,

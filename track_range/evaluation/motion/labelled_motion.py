@@ -47,7 +47,7 @@ class LabelledMotion:
 def kitti_motion(
     labels: Path, calib: Path, poses: Path, *, boxes: str = "labels", noise_px: float = 0.0, seed: int = 0
 ) -> LabelledMotion:
-    """Boxes of KITTI tracking labels with their true motion; the arguments are those of `box_set`.
+    """Boxes of KITTI tracking labels with their true motion; for the arguments see `box_set`.
 
     Raises LabelFileError: labels, poses or detections cannot be read, or a label has no pose; RigError: a calibration
     cannot be read.
@@ -102,7 +102,7 @@ def read_poses(path: Path) -> FloatArray:
     except ValueError as error:
         raise LabelFileError(f"{path}: expected 12 numbers in each row, the 3 x 4 pose of a frame.") from error
     if not len(values) or not np.isfinite(values).all():
-        raise LabelFileError(f"{path}: expected a row of 12 finite numbers per frame, found none or others.")
+        raise LabelFileError(f"{path}: expected a row of 12 finite numbers per frame, found other content.")
     return values.reshape(-1, 3, 4)
 
 

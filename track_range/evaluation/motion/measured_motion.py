@@ -33,10 +33,12 @@ from track_range.tracking.tracks import Tracks
 
 
 def combined(forward: ConstantVelocity, backward: ConstantVelocity) -> ConstantVelocity:
-    """State of (N,) tracks from the states forwards and backwards in time; one of them where the other is unknown.
+    """State of (N,) tracks from the states forwards and backwards in time; or from one direction where the other is
+    unknown.
 
     The backward filter has negative times and speeds, so that its rate is -v. Given the state, the errors of both
-    are independent (Fraser and Potter, IEEE TAC 1969), except that both contain the measurement of that time:
+    directions are independent (Fraser and Potter, IEEE TAC 1969), except that both contain the measurement of that
+    time:
 
         P^-1 = P_f^-1 + P_b^-1        x = P (P_f^-1 x_f + P_b^-1 x_b)
     """
@@ -87,11 +89,11 @@ def measured_motion(
 ) -> MeasuredMotion:
     """Motion of the boxes by a method, or by the fusion of several (`mono+ground`); UsageError: an unknown one.
 
-    With `look_ahead`, closing speeds and times to collision use all frames of a sequence, others the frames so far.
+    With `look_ahead`, closing speeds and times to collision use all frames of a sequence, instead of the frames so far.
     """
     names, known = method.split("+"), [listed.name for listed in box_methods()]
     if not set(names) <= set(known):
-        raise UsageError(f"--method {method}: expected {' or '.join(known)}, or several of them with + between them.")
+        raise UsageError(f"--method {method}: expected {' or '.join(known)}, or several methods joined by +.")
     boxes = motion.boxes
     if not is_ego_known:
         unknown = np.full(len(boxes), np.nan)

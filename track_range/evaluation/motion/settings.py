@@ -40,15 +40,21 @@ class MotionEvaluationSettings(Options):
     noise_px: NoiseField = 0.0
     seed: NoiseSeedField = 0
     method: Annotated[
-        str, option("Ranging method that needs only boxes, or several with +, which are fused.", metavar="NAME[+NAME]")
+        str,
+        option(
+            "Ranging method that needs only boxes, or several methods joined by +, which are fused.",
+            metavar="NAME[+NAME]",
+        ),
     ] = "mono"
     ego: Annotated[
         Literal["poses", "none"],
-        option("Speed and yaw rate of the camera that are known: those of the poses, as from a wheel sensor, or none."),
+        option(
+            "Known speed and yaw rate of the camera: from the poses, as a wheel sensor would give them, or unknown."
+        ),
     ] = "poses"
     look_ahead: Annotated[
-        bool, option("Closing speeds and times to collision from all frames of a sequence, not only those so far.")
+        bool, option("Closing speeds and times to collision from all frames of a sequence, including later frames.")
     ] = False
     cross_validate: Annotated[
-        bool, option("Cross-validation: sizes refitted for each sequence on the boxes of the others.")
+        bool, option("Cross-validation: sizes refitted for each sequence on the boxes of the other sequences.")
     ] = False

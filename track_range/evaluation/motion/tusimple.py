@@ -71,11 +71,14 @@ def _vehicles(clip: Path) -> FloatArray:
     try:
         return vehicle_columns(read_json(path, LabelFileError, "labels of TuSimple"))
     except (ValueError, KeyError, TypeError) as error:
-        raise LabelFileError(f"{path}: expected vehicles with bbox, position and velocity, found others.") from error
+        raise LabelFileError(
+            f"{path}: expected vehicles with bbox, position and velocity, found other labels."
+        ) from error
 
 
 def vehicle_columns(vehicles: Any) -> FloatArray:
-    """(N, 8) boxes, positions and velocities of labelled vehicles; ValueError, KeyError or TypeError: others."""
+    """(N, 8) boxes, positions and velocities of labelled vehicles; ValueError, KeyError or TypeError for other
+    content."""
     rows = [[*(v["bbox"][edge] for edge in _EDGES), *v["position"], *v["velocity"]] for v in vehicles]
     return np.array(rows, np.float64).reshape(len(rows), 8)
 

@@ -1,7 +1,7 @@
 """Comparison of average precision and speed of detectors on labelled images.
 
 Every image is read once and processed by all detectors in turn, so that their times are measured under the same
-conditions. Average precision uses all boxes of confidence 0.001 or more; precision and recall are those at the working
+conditions. Average precision uses all boxes of confidence 0.001 or more; precision and recall are given at the working
 confidence, `--min-score`. Average precision and recall are also evaluated by size of object, and the calibration of the
 scores is measured.
 """
@@ -41,7 +41,7 @@ PROTOCOL = (  # description of the measurement for the results
 _DETAIL_NOTES = (  # explanations of the tables by size and of calibration
     f"By size: means over the classes with at least {MIN_BOXES} boxes, {MIN_BIN_BOXES} of them in the bin.",
     f"Calibration of scores of {MIN_SCORE} or more: ECE is the mean difference between score and precision in bins of "
-    "the score, chance the ECE to be expected of calibrated scores in the same number.",
+    "the score, chance is the ECE to be expected for the same number of calibrated scores.",
 )
 
 
@@ -83,7 +83,7 @@ def evaluate(
 ) -> dict[str, Any]:
     """Run all detectors on the labelled images; returns their results as plain values for JSON.
 
-    After an interrupt (Ctrl-C) the results are those of the finished images. `min_score` is a confidence threshold as
+    After an interrupt (Ctrl-C), the results cover the finished images. `min_score` is a confidence threshold as
     in `--min-score`, None = `WORKING_SCORE`; objects below `min_height_px` are ignored; `is_detailed` adds the
     evaluation by size of object and the calibration of the scores. LabelFileError, VideoError: no image can be read.
     """

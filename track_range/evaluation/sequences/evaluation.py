@@ -118,7 +118,8 @@ def _truth_table(path: Path, form: str | None, notes: list[str]) -> BoxTable:
     notes += [*table.notes, *other_labels_note(table, path)]
     if n_regions := int(table.is_region.sum()):
         notes.append(
-            f"{path.name}: ignored {counted(n_regions, 'region')} of the ground truth; tracks in them count as false."
+            f"{path.name}: ignored {counted(n_regions, 'region')} of the ground truth; tracks in these regions count "
+            "as false positives."
         )
     return table
 
@@ -142,13 +143,13 @@ def _other_classes_note(paths: Iterable[Path], road_class: str) -> tuple[str, ..
 
 
 def _boxes_of(table: BoxTable, road_class: str, path: Path, form: str = "") -> TrackedBoxes:
-    """The boxes of a class; for ground truth in KITTI's format (`form`), without those of its neighbouring types."""
+    """The boxes of a class; for ground truth in KITTI's format (`form`), without boxes of its neighbouring types."""
     is_class = table.class_id == ROAD_CLASSES.index(road_class)
     if form == "kitti":
         is_class &= ~np.isin(table.class_name, [name.lower() for name in KITTI_IGNORED if name != "Person"])
     table = table.select(is_class)
     if (table.track_id < 0).any():
-        raise LabelFileError(f"{path}: expected a track id for each box, found boxes without.")
+        raise LabelFileError(f"{path}: expected a track id for each box, found boxes without track ids.")
     try:
         return TrackedBoxes(table.frame, table.track_id, table.xyxy_px, table.class_id)
     except ValueError as error:
@@ -169,7 +170,7 @@ def _is_mot_challenge(path: Path) -> bool:
 
 
 def _class_of(form: str, road_class: str | None, paths: Iterable[Path]) -> str:
-    """The class to evaluate by the rules of KITTI or MOTChallenge; truth without classes has that of `--class`."""
+    """The class to evaluate by the rules of KITTI or MOTChallenge; truth without classes has the class of `--class`."""
     if road_class is None:
         return "car" if form == "kitti" else "person"
     name = ROAD_CLASSES[road_class_id(road_class)]
@@ -204,7 +205,7 @@ def _cleaned(
 def _read_results(path: Path, road_class: str, truth_form: str) -> TrackedBoxes:
     """Tracks of one class with frames from 0; rows of MOTChallenge without a class all count.
 
-    For ground truth of KITTI, rows of KITTI count by their type: those of vans are not cars.
+    For ground truth of KITTI, rows of KITTI count by their type, so vans are not cars.
     """
     class_id = ROAD_CLASSES.index(road_class)
     if is_blank(path, "tracks"):

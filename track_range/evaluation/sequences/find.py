@@ -38,7 +38,7 @@ class SequenceInfo:
 
 @dataclass(frozen=True, slots=True)
 class SequenceFile:
-    """One sequence: its name, which is also that of its results, its file of boxes or ground truth, and seqinfo.ini."""
+    """One sequence: its name, which its results share, its file of boxes or ground truth, and seqinfo.ini."""
 
     name: str
     path: Path

@@ -91,7 +91,10 @@ class TrackSettings(Options):
     reid: ReidField = None
     online: Annotated[
         bool,
-        option("Tracks as a live run reports them: no filled gaps and no boxes from before a track was confirmed."),
+        option(
+            "Tracks as a live run reports them, without filled gaps and without boxes from before a track was "
+            "confirmed."
+        ),
     ] = False
     kitti: Annotated[bool, option("Additional output of the tracks in KITTI's format, kitti/NAME.txt.")] = False
 

@@ -1,4 +1,4 @@
-"""The Ray cluster of a fleet: one of this machine alone for the time of the run, or an existing one.
+"""The Ray cluster of a fleet: a cluster on this machine for the duration of the run, or an existing cluster.
 
 A cluster of this machine listens on the loopback interface only, with a random token, so that other users of the
 machine cannot run code in it; nothing is written to the home folder. Its files are in the temporary folder, and are
@@ -152,7 +152,7 @@ def _fitting(settings: FleetSettings, n_requested: int) -> int:
     memory_text, gpu_text = f"--worker-memory {size}: expected memory", f"--gpus-per-worker {n_gpus:g}: expected GPUs"
     n_fitting = n_requested
     for needed, available, requirement, stock, remedy in (
-        (size_bytes(size), memory, memory_text, f"{memory / 1e9:.1f} GB for all of them", "less memory"),
+        (size_bytes(size), memory, memory_text, f"{memory / 1e9:.1f} GB for all workers", "less memory"),
         (n_gpus, gpus, gpu_text, f"{gpus:g}", "a smaller fraction"),
     ):
         n_fitting = min(n_fitting, int(available / needed)) if needed else n_fitting
@@ -178,7 +178,7 @@ def _environment(variables: Mapping[str, str]) -> Iterator[None]:
 
 @contextmanager
 def _ray_folder() -> Iterator[Path]:
-    """Folder for Ray's sockets and logs; those of drivers that were killed are removed."""
+    """Folder for Ray's sockets and logs; folders of killed drivers are removed."""
     parent = Path(tempfile.gettempdir())
     if len(str(parent)) > _MAX_FOLDER - 20:
         parent = Path("/tmp")  # noqa: S108 - the folder below has a random name and is only for this user

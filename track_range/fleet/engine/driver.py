@@ -4,7 +4,7 @@
              |  worker lost: again at the end of the queue, or a record with an error
 
 A clip is a task of Ray, which never repeats it: only the driver knows how a clip has failed. It has one clip per worker
-in flight, and of the others only the names.
+in progress, and only the names of all other clips.
 
 failure                              attempts in all
 input, internal (application error)  1
@@ -299,8 +299,8 @@ class Driver:
         limit_s = time_limit_s(self._settings.timeout, at.video_s, at.fetch_bytes, at.frames)
         if elapsed_s > limit_s:
             return "timeout", (
-                f"not finished within the time limit of {limit_s:.0f} s (--timeout) while {at.phase}, after "
-                f"{at.frames} frames."
+                f"the time limit of {limit_s:.0f} s (--timeout) was exceeded while {at.phase}, after {at.frames} "
+                "frames."
             )
         return None
 

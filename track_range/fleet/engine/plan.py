@@ -56,7 +56,8 @@ class FileNames:
 
 
 def _folders(location: Location) -> Iterable[str]:
-    """Texts before the name of a file, as messages contain them; for folders of images, those before its last part."""
+    """Texts before the name of a file, as messages contain them; for folders of images, the texts before its last
+    part."""
     if not location.is_local:
         return [f"{str(location).partition('?')[0].rpartition('/')[0]}/"]
     parents = (location.path.parent, Path(os.path.realpath(location.path)).parent)
@@ -74,7 +75,7 @@ class ClipTask:
 
 @dataclass(frozen=True, slots=True)
 class ClipOutcome:
-    """Answer of a worker about a clip, with its record; that of one that is done has been published."""
+    """Answer of a worker about a clip, with its record; the record of a finished clip has been published."""
 
     row: Row
     is_unchanged: bool = False  # the content is that of the complete result; only `inputs` of the row counts
@@ -190,7 +191,7 @@ def _validated(options: Mapping[str, Any]) -> RunSettings:
 
 
 def _shared_files(settings: RunSettings) -> dict[str, Path]:
-    """Files of the settings that all clips share; the others are words."""
+    """Files of the settings that all clips share; the other values are words."""
     files: dict[str, Path] = {}
     for name in sorted(_SHARED_FILES):
         value = getattr(settings, name)

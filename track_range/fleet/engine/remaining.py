@@ -1,4 +1,4 @@
-"""Which clips of a fleet are left to process: fingerprints of their inputs, and those of earlier results."""
+"""Which clips of a fleet are left to process: fingerprints of their inputs and of earlier results."""
 
 from __future__ import annotations
 

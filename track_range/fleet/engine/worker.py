@@ -51,8 +51,8 @@ def process_clip(
 ) -> Iterator[WorkerState | ClipOutcome]:
     """States of the worker while it processes a clip, then the outcome.
 
-    `files` are those that all clips share, if the driver is on another machine. Raises FleetError if the version of
-    track-range is not that of the driver.
+    `files` are the files that all clips share, if the driver is on another machine. Raises FleetError if the versions
+    of track-range of worker and driver differ.
     """
     import ray
 
@@ -111,7 +111,7 @@ def peak_memory_bytes() -> int:
 
 @contextmanager
 def scratch_folder(cache_dir: Path | None) -> Iterator[Path]:
-    """Temporary folder of this process, in `cache_dir` if given; those of processes that were killed are removed."""
+    """Temporary folder of this process, in `cache_dir` if given; folders of killed processes are removed."""
     before = tempfile.tempdir
     parent = cache_dir or Path(tempfile.gettempdir())
     remove_dead_folders(parent, FOLDER_PREFIX)
@@ -144,7 +144,7 @@ def shared_files(plan: FleetPlan) -> SharedFiles:
 
 
 def with_shared_files(plan: FleetPlan, files: SharedFiles, folder: Path) -> FleetPlan:
-    """The plan with the paths of copies of the files in a folder; without a copy, the path is that of the driver."""
+    """The plan with the paths of copies of the files in a folder; without a copy, the driver's path is used."""
     options = dict(plan.options)
     for setting, (name, content) in files.items():
         path = folder / setting / name

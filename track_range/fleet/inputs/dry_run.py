@@ -101,7 +101,7 @@ class _Check:
         return (whole[0] if layout == "tracks" else half_size_px(layout, whole[0])), *whole[1:]
 
     def _size(self, files: dict[str, Location]) -> int:
-        """Size of all files; those that do not exist or are empty are problems."""
+        """Size of all files; missing or empty files are problems."""
         n_bytes = 0
         for role, location in files.items():
             state = self.listings.state(location)
@@ -133,11 +133,12 @@ class _Check:
             self.problems.append(f"{self.clip.right}: expected {lw}x{lh} px like the left video, found {rw}x{rh}.")
         if left_s and right_s and abs(left_s - right_s) > _MAX_DIFFERENCE_S:
             self.notes.append(
-                f"The left video has {left_s:.1f} s and the right one {right_s:.1f} s; frames of only one are not used."
+                f"The left video has {left_s:.1f} s and the right one {right_s:.1f} s; frames of only one video are "
+                "not used."
             )
 
     def _calibration(self, headers: Sequence[_Header], rig: Location | None) -> str:
-        """Kind of the calibration; one that cannot be used is a problem, none is noted."""
+        """Kind of the calibration; an unusable calibration is a problem, a missing one is noted."""
         if "rig" not in self.clip.settings:
             if "focal_px" in self.clip.settings or self.focal_px is not None:
                 return "focal length"

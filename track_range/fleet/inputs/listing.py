@@ -59,7 +59,7 @@ def _clips_in(location: Location, pattern: FilePattern | None) -> list[Clip]:
                 return [Clip(without_suffix(location.name), location.address)]
         tree = FileTree.of_entries(location, location.list(recursive=True))
     elif not (tree.files or tree.folders):
-        raise FleetInputError(f"{location}: no file matches this pattern; check it.")
+        raise FleetInputError(f"{location}: no file matches this pattern; check the pattern.")
     if pattern is not None:
         return matched_clips(tree, pattern, location)
     names = tree.recordings()

@@ -3,7 +3,8 @@
     clip, left, right, rig, ego_speed, truth, ...
 
 Columns: `left` is required; `clip` is the name, by default the path of the left video without suffix;
-those of `CLIP_SETTINGS` are settings of the run; all others are labels. Relative paths start in the manifest's folder.
+columns of `CLIP_SETTINGS` are settings of the run; all other columns are labels. Relative paths start in the manifest's
+folder.
 """
 
 from __future__ import annotations

@@ -46,13 +46,13 @@ class Template:
         return tuple(dict.fromkeys(name for _, name in self.parts if name is not None))
 
     def filled(self, values: Mapping[str, str]) -> str:
-        """The text with values for its placeholders; raises KeyError for one without a value."""
+        """The text with values for its placeholders; raises KeyError for a placeholder without a value."""
         return "".join(literal + ("" if name is None else values[name]) for literal, name in self.parts)
 
     def expression(self) -> re.Pattern[str]:
         """Regular expression of the texts that match, with a group for each placeholder.
 
-        A placeholder matches as few characters as possible, at least one; only that of the clip matches "/".
+        A placeholder matches as few characters as possible, at least one; only the clip's placeholder matches "/".
         """
         expression = ""
         for literal, name in self.parts:

@@ -115,7 +115,7 @@ def remove_unfinished(out: Location) -> None:
 
 
 def publish_event_videos(out: Location, name: str, files: Collection[Path]) -> None:
-    """Publish the videos of the events of a clip, and remove those of an earlier result; raises as `publish`."""
+    """Publish the videos of the events of a clip, and remove videos of an earlier result; raises as `publish`."""
     folder = runs_location(out, name).child(CLIPS_FOLDER)
     for file in files:
         publish(out, folder.child(file.name), file)
@@ -144,7 +144,7 @@ def read_journal(out: Location) -> pa.Table:
 
 
 class ClipTable:
-    """The rows of a fleet in the driver, with the journal as the source of those that are not compiled.
+    """The rows of a fleet in the driver, with the journal as the source of rows that are not compiled.
 
     `table` has the compiled rows, `newer` the rows that are newer than those, by name of the clip.
     """
@@ -160,7 +160,7 @@ class ClipTable:
         self._is_sorted = True
 
     def add(self, row: Row, *, is_in_journal: bool) -> None:
-        """Add or replace the row of a clip; one that is not in the journal is stored by the next compilation."""
+        """Add or replace the row of a clip; a row that is not in the journal is stored by the next compilation."""
         self.newer[row["clip"]] = row
         if is_in_journal:
             self._in_journal.add(row["clip"])
@@ -275,7 +275,7 @@ def _journal_names(out: Location) -> list[str]:
 
 
 def journal_rows(out: Location, names: Sequence[str]) -> dict[str, Row]:
-    """Rows in the journal; one that is damaged or was removed meanwhile is left out, so that its clip is repeated."""
+    """Rows in the journal; damaged or removed rows are left out, so that their clips are repeated."""
 
     def row_of(name: str) -> Row | None:
         location = _journal_location(out, name)

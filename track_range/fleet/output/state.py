@@ -120,7 +120,7 @@ def locked_output(out: Location) -> Iterator[None]:
 
 
 def status_lines(out: Location) -> Iterator[str]:
-    """Lines of text about a fleet; raises as `read_clips`, and FleetError if there is none."""
+    """Lines of text about a fleet; raises as `read_clips`, and FleetError if there is no fleet."""
     state, table = read_state(out), read_clips(out)
     if state is None and not table.num_rows:
         raise FleetError(f"{out}: expected the results of `track-range fleet run`, found neither fleet.json nor clips.")
@@ -154,7 +154,7 @@ def state_text(state: FleetState | None) -> str:
         return f"running ({driver}), for {duration_text(time.time() - state.started_s)}"
     age = duration_text(time.time() - state.heartbeat_s)
     if state.state == "running":
-        return f"ended without notice ({driver}, {age} ago); the same command continues"
+        return f"ended unexpectedly ({driver}, {age} ago); repeat the command to continue"
     reason = f": {state.reason}" if state.reason and state.state == "failed" else ""
     return f"{state.state} {age} ago{reason}"
 

@@ -134,7 +134,7 @@ def group_column(clips: ClipColumns, requested: str | None) -> str | None:
 def drift_figures(done: ClipColumns, group: str | None) -> list[Figures]:
     """Alignment of the pairs over time, per value of the column `group` (None = all clips in one row).
 
-    Of more than `MAX_GROUPS` values, those with the largest change.
+    At most `MAX_GROUPS` values with the largest changes are kept.
 
     Keys: group, clips, points (list of [Unix time or null, value] by figure), first, last and change by figure (medians
     of the first and last `_ENDS` dated clips), from_utc_s, to_utc_s.
@@ -193,7 +193,7 @@ def _pattern(text: str) -> str:
 
 
 def note_figures(done: ClipColumns) -> list[Figures]:
-    """Most frequent notes of the runs, with the number of clips and one of them."""
+    """Most frequent notes of the runs, with the number of clips and an example."""
     rows: dict[str, Figures] = {}
     for clip, notes in zip(done.texts("clip"), done.lists("warnings"), strict=True):
         for pattern, note in {_pattern(note): note for note in notes}.items():

@@ -1,6 +1,6 @@
 """Figures of a fleet from its results, in a local folder or an object store; of a run in progress as well.
 
-Parts that are missing or damaged are named, and the figures are those of the rest.
+Missing or damaged parts are named, and the figures cover the rest.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _LINKED_FILES = ("overlay.mp4", "report.html")  # files of a clip to which the p
 
 
 class ClipEvent(NamedTuple):
-    """An event of a clip; `number` is that of its row in its file, from 1."""
+    """An event of a clip; `number` is its row number in its file, from 1."""
 
     clip: str
     number: int
@@ -58,7 +58,7 @@ class ClipEvent(NamedTuple):
 
 @dataclass(slots=True)
 class EventFigures:
-    """Events of one or more clips by kind, those with a collision warning, and the most severe ones."""
+    """Events of one or more clips by kind, events with a collision warning, and the most severe events."""
 
     n_by_kind: Counter[str] = field(default_factory=Counter)
     n_warnings: int = 0
@@ -265,7 +265,7 @@ def _coverage(tracks: TrackFigures) -> list[Figures]:
 
 
 def _starts_s(done: ClipColumns, names: set[str], state: FleetState | None) -> dict[str, float]:
-    """Values of --start-s of clips: that of the clip, else that of all clips."""
+    """Values of --start-s of clips: the clip's value, else the value for all clips."""
     run = state.options.get("run") if state is not None else None
     shared = run.get("start_s") if isinstance(run, dict) else None
     starts_s = {}

@@ -94,7 +94,7 @@ def fleet_sections(figures: Figures, links: Links | None = None) -> list[Section
     sections = {
         "road-users": (
             "Road users",
-            "Tracks by their most frequent class. Hours of the day are those of the first frame of a track, in UTC.",
+            "Tracks by their most frequent class. The hour of the day is the hour (UTC) of the first frame of a track.",
             [_grid("Tracks by class", "class", figures["classes"], _CLASS_COLUMNS), _hour_grid(figures["hours"])],
             "No clip has tracks.",
         ),
@@ -123,8 +123,8 @@ def fleet_sections(figures: Figures, links: Links | None = None) -> list[Section
         ),
         "collisions": (
             "Shortest times to collision",
-            "Time to collision of the front with road users on the path, or that will be there with a probability of "
-            f"at least one half. {tables.SIGMA} at most half of the time; one row per track.",
+            "Time to collision of the front with road users that are on the path, or will be on the path with a "
+            f"probability of at least one half. {tables.SIGMA} at most half of the time; one row per track.",
             [_ranking("Tracks on a collision course", figures["collisions"], _COLLISION_MEASURES, links)],
             "No road user was on a collision course.",
         ),
@@ -136,8 +136,8 @@ def fleet_sections(figures: Figures, links: Links | None = None) -> list[Section
         ),
         "drift": (
             "Calibration drift",
-            "Alignment of the two cameras, measured in each run. First and last: medians of up to five clips. "
-            f"Of more than {MAX_GROUPS} rows, those with the largest change.",
+            "Alignment of the two cameras, measured in each run. First and last are medians of up to five clips. At "
+            f"most {MAX_GROUPS} rows with the largest changes are shown.",
             [_drift_grid(figures["drift"], name, figures["drift_by"]) for name in ALIGNMENT_FIGURES],
             "No clip has an alignment of two cameras.",
         ),
@@ -155,7 +155,7 @@ def fleet_sections(figures: Figures, links: Links | None = None) -> list[Section
         ),
         "notes": (
             "Notes of the runs",
-            "The most frequent ones, with one of the clips.",
+            "The most frequent reasons, each with one of the clips.",
             [_text_grid("Notes", figures["notes"], ("clip", "clips", "note"))],
             "The runs have no notes.",
         ),

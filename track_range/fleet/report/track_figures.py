@@ -1,7 +1,7 @@
 """Figures from the rows of tracks: of one clip, and their sum over clips, in memory that does not grow with the clips.
 
 Coverage of a method in a distance band = observed boxes with a distance of the method / observed boxes. The band is
-that of the filtered fused distance, which every ranged track has.
+chosen by the filtered fused distance, which every ranged track has.
 
 Times to collision are `ttc_front_s`, of the front with road users on the path; rows of earlier versions have none.
 """
@@ -99,7 +99,7 @@ def track_figures(clip: str, table: pa.Table) -> TrackFigures:
 
 
 class _Rows:
-    """Rows of a clip as arrays (N,), by track and time; those of a column that is missing are NaN."""
+    """Rows of a clip as arrays (N,), by track and time; missing columns are NaN."""
 
     def __init__(self, table: pa.Table) -> None:
         import pyarrow as pa

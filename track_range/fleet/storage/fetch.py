@@ -165,7 +165,7 @@ def _is_below(name: str) -> bool:
 
 
 def _safe_name(location: Location) -> str:
-    """File name in the cache: that of the location, unless it is too long for a local file."""
+    """File name in the cache: the location's name, unless it is too long for a local file."""
     name = location.name.replace("\0", "_").replace("/", "_") or "file"
     if name in (".", ".."):
         return "file"

@@ -44,7 +44,7 @@ _QUERY, _LINK_QUERY = re.compile(r"\?.*$", re.DOTALL), re.compile(r"[?#].*$", re
 
 @dataclass(frozen=True, slots=True)
 class FileStat:
-    """Size and time of the last change of a file; of a folder, 0 or those of its files."""
+    """Size and time of the last change of a file; for a folder, 0 or the values of its files."""
 
     size: int  # bytes; -1 = not stated by a web server
     mtime_ns: int  # since 1970; 0 = not stated
@@ -63,7 +63,7 @@ class Entry:
 
 
 def is_hidden(name: str) -> bool:
-    """Whether a relative path is that of a hidden file, or is in a hidden folder."""
+    """Whether a relative path leads to a hidden file, or into a hidden folder."""
     return name.startswith(".") or "/." in name
 
 
@@ -414,7 +414,7 @@ class FolderListings:
         self._stats: dict[str, dict[str, FileStat]] = {}
 
     def stat(self, location: Location) -> FileStat | None:
-        """As `Location.stat`."""
+        """See `Location.stat`."""
         parent = location.parent
         if location.is_local or location.is_web or parent is None:
             return location.stat()
@@ -431,6 +431,6 @@ class FolderListings:
             return self._stats[parent.address].get(location.name)
 
     def state(self, location: Location) -> FileStat | None:
-        """As `stat`; of a folder, the total size and the latest change of all its files, hidden ones excluded."""
+        """See `stat`; for a folder, the total size and the latest change of all files that are not hidden."""
         status = self.stat(location)
         return status if status is None or not status.is_folder else folder_state(location.list(recursive=True))

@@ -33,7 +33,7 @@ def read_array(path: Path, error: type[Exception], expected: str) -> npt.NDArray
 
 
 def parse_array(file: BinaryIO, size_bytes: int) -> npt.NDArray[Any]:
-    """The array of numbers in a .npy file of `size_bytes`; raises ValueError and others if it is none."""
+    """The array of numbers in a .npy file of `size_bytes`; raises ValueError and other exceptions for invalid files."""
     version = np.lib.format.read_magic(file)
     if version not in _HEADER_READERS:  # version 3 is for structured arrays only
         raise ValueError(f"format version {version[0]}.{version[1]}")

@@ -85,7 +85,7 @@ def read_csv_table(
     """Read a CSV file in UTF-8 with a header line; `expected` is what it should hold, such as "columns time_s".
 
     Columns may be separated by semicolons or tabs instead of commas; then decimals may have a comma. `default_header`
-    names the columns of a file of which the first line has none of them. Rows with missing cells, or one separator at
+    names the columns of a file whose first line has no column names. Rows with missing cells, or one separator at
     the end, are allowed unless `exact`. Raises `error` if the file is unreadable, empty or no CSV, a row has too many
     cells, or a column has no name.
     """

@@ -166,7 +166,7 @@ def _unreadable(path: Path, reason: OSError | ValueError, error: type[Exception]
     if isinstance(reason, FileNotFoundError | NotADirectoryError):
         return error(f"{path}: no such file; expected {expected}.")
     if isinstance(reason, ValueError):  # a path with a null character
-        return error(f"{quoted(str(path))}: expected the path of {expected}, found a name that no file can have.")
+        return error(f"{quoted(str(path))}: expected the path of {expected}, found an invalid file name.")
     if reason.errno == errno.ELOOP:
         return error(f"{path}: expected {expected}, found a loop of symbolic links; give the file itself.")
     if reason.errno in (errno.EISDIR, errno.ENXIO):  # Windows; sockets and devices that cannot be opened

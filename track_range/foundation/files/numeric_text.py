@@ -19,7 +19,7 @@ def number(cell: str) -> float:
 
 
 def numbers(cells: Iterable[str]) -> list[float]:
-    """The number in each cell; NaN for those that are not numbers."""
+    """The number in each cell; NaN for cells that are not numbers."""
     return [number(cell) for cell in cells]
 
 
@@ -29,5 +29,5 @@ def plain_number(value: object) -> float:
 
 
 def are_integers(values: FloatArray, low: float, high: float) -> bool:
-    """Whether all values are integers from `low` to `high`; NaN is none."""
+    """Whether all values are integers from `low` to `high`; NaN is not an integer."""
     return bool(np.all((values >= low) & (values <= high) & (np.rint(values) == values)))

@@ -76,4 +76,4 @@ def parse_xml(file: BinaryIO, path: Path, handler: XmlHandler | None, error: typ
         problem = shortened(expat.ErrorString(reason.code), 100)
         raise error(f"{path}, line {reason.lineno}: expected {expected} in XML, found an error: {problem}.") from reason
     except (ValueError, LookupError, UnicodeError) as reason:  # an encoding that Python does not have
-        raise error(f"{path}: expected {expected} as XML in UTF-8, found text that is not.") from reason
+        raise error(f"{path}: expected {expected} as XML in UTF-8, found other text.") from reason

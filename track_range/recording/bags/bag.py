@@ -146,7 +146,7 @@ class SplitBag:
 
 
 def topic_list(bag: Bag, types: tuple[str, ...] = ()) -> str:
-    """The first topics of a bag with their types, those of `types` first, for messages."""
+    """The first topics of a bag with their types for messages, topics of `types` first."""
     topics = sorted(bag.topics.values(), key=lambda topic: (topic.type not in types, topic.name))
     shown = [f"{shortened(topic.name, 40)} ({shortened(topic.type.replace('/msg/', '/'), 30)})" for topic in topics[:4]]
     others = f" and {counted(len(topics) - 4, 'other')}" if len(topics) > 4 else ""
@@ -167,7 +167,7 @@ def _open_file(path: Path) -> Bag:
     if start.startswith(ROS1_MAGIC):
         return Ros1File(path)
     if start.startswith(b"#ROSBAG"):
-        raise VideoError(f"{path}: expected a ROS bag of version 2.0, found another one; convert it with rosbag.")
+        raise VideoError(f"{path}: expected a ROS bag of version 2.0, found another version; convert it with rosbag.")
     if start.startswith(ZSTD_MAGIC):
         raise VideoError(
             f"{path}: expected {EXPECTED}, found a file compressed as a whole; decompress it with zstd -d."

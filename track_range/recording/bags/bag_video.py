@@ -30,11 +30,12 @@ _UTC_UNCERTAINTY_S = 0.1  # largest delay, s, between exposure and time stamp; a
 _MAX_LEVELS = 3  # levels above an image topic in which its calibration is searched: /left/image_raw/compressed -> /left
 _ZED_ENCODING = "zed_sdk_encoded"  # of the images of .svo2 files
 _CALIBRATION_NAMES = ("camera_info", "calibration", "info/camera_info")  # ends of the names of calibration topics
-"""The last one is that of RealSense's recorder: /device_0/sensor_0/Infrared_1/image/data and .../info/camera_info."""
+"""The last pattern belongs to RealSense's recorder: /device_0/sensor_0/Infrared_1/image/data and
+.../info/camera_info."""
 
 
 def _is_depth(topic: str) -> bool:
-    """Whether a topic has depth images by its name, as those of RealSense, ZED and OAK cameras."""
+    """Whether a topic has depth images by its name, as RealSense, ZED and OAK cameras name them."""
     return re.search(r"(^|[/_])(depth|disparity|confidence)([/_]|$)", topic.lower()) is not None
 
 
@@ -97,7 +98,7 @@ class BagVideo(RecordedVideo):
             (self._n_damaged, "damaged image", ""),
             (self._n_backward, "image", "with a repeated or backward time "),
         )
-        end = [f"{self._bag.end_problem}; the images before that were used."] if self._bag.end_problem else []
+        end = [f"{self._bag.end_problem}; all earlier images were used."] if self._bag.end_problem else []
         notes = end + [f"{counted(n, noun)} {clause}skipped." for n, noun, clause in skipped if n]
         return (*self._setup_notes, *(f"{self.path}: {note}" for note in notes))
 
@@ -172,7 +173,7 @@ class BagVideo(RecordedVideo):
             raise DamagedError(problem)
         self._uses_headers = any(stamp_s > 0 for stamp_s, _ in times_s)  # a simulation may begin at 0
         if not self._uses_headers:
-            self._setup_notes.append(f"{self.path}: images without time stamps; the times of recording are used.")
+            self._setup_notes.append(f"{self.path}: images have no time stamps; the times of recording are used.")
         return first, [stamp_s if self._uses_headers else recorded_s for stamp_s, recorded_s in times_s]
 
     def _calibration(self) -> CameraInfo | None:

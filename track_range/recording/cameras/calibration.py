@@ -124,7 +124,7 @@ class RecordingCalibration:
         is_contradicted = aspect != 1.0 and abs(own / aspect - 1.0) > _MAX_ASPECT_ERROR
         if not is_contradicted and (recorded.has_square_pixels or recorded.is_wide):
             return ()
-        doubt = f" By the video they are {aspect:.3g} times as wide: check the calibration." if is_contradicted else ""
+        doubt = f" The video states {aspect:.3g} times: check the calibration." if is_contradicted else ""
         return (
             f"Pixels of the images of {recorded.width_px}x{recorded.height_px} px are {own:.3g} times as wide as high: "
             f"resampled to {self.camera.width_px}x{self.camera.height_px} px with square pixels, to which focal length "
@@ -138,8 +138,9 @@ class RecordingCalibration:
         )
         if len(self.sizes_px) == 1:
             return (
-                f"No calibration: {length}, and all distances share its error; a known distance reduces it: "
-                "track-range calibrate --mono VIDEO --known-distance 'T_S,X1,Y1,X2,Y2=METRES' --out rig.yaml.",
+                f"No calibration: {length}, and all distances share the error of the focal length; a known distance "
+                "reduces this error: track-range calibrate --mono VIDEO --known-distance 'T_S,X1,Y1,X2,Y2=METRES' "
+                "--out rig.yaml.",
             )
         if not self.guesses:
             length = f"the focal length is {focal.focal_px:.0f} px as given"
@@ -241,7 +242,7 @@ def find_calibration(
     """The calibration of one or two opened videos, left first.
 
     It comes from `rig`, a file or a model of the cameras, the focal length, the bag, or a file next to `left`; the
-    first of these is used. Without any of these, the focal length is estimated, and the distances are uncalibrated.
+    first of these is used. Otherwise the focal length is estimated, and the distances are uncalibrated.
     Images of wide lenses are undistorted to `view`.
 
     Raises RigError if the file cannot be used or does not fit the images, or there is a field of view but no wide lens,
@@ -316,7 +317,7 @@ def _without_file(
         (lw, lh), (rw, rh) = sizes_px
         raise VideoError(
             f"{videos[1].path}: expected {lw}x{lh} px like {videos[0].path}, got {rw}x{rh}; unequal cameras need a "
-            "--rig with both of them."
+            "--rig with both cameras."
         )
     stored = camera.resized(sizes_px[0])
     others = () if video.pixel_aspect is not None else image_size.analogue_alternatives(sizes_px[0])
@@ -385,7 +386,7 @@ def _calibration_in_bag(videos: Sequence[Video], sizes_px: Sizes, view: LensView
 def _of_models(
     given: StereoRig | PinholeCamera, path: Path | None, sizes_px: Sizes, view: LensView, aspect: float = 1.0
 ) -> RecordingCalibration:
-    """The calibration of one camera, the left one of a rig, or of a pair; `path` is the file with the models."""
+    """The calibration of one camera (the left camera of a rig) or of a pair; `path` is the file with the models."""
     source = path or "rig"
     left = given.left if isinstance(given, StereoRig) else given
     fitted: StereoRig | PinholeCamera

@@ -22,7 +22,7 @@ class DecodeLog:
         n_damaged: frames skipped because they, or frames that they depend on, are damaged.
         n_backward: frames skipped because their timestamp equals or precedes the last one.
         resets_s: times of the last frames before the clock of the file was set back.
-        n_repeated: frames with exactly the image before, between others that differ.
+        n_repeated: frames that exactly repeat the image before, between images that differ.
     """
 
     def __init__(self) -> None:
@@ -77,7 +77,8 @@ class DecodeLog:
         self.last_s, self.end_s = time_s, time_s + duration_s
 
     def image(self, image: Image) -> None:
-        """Count an image that repeats the one before exactly, while those around it differ: not those of a stop."""
+        """Count an image that repeats the one before exactly, while the images around it differ, unlike images of a
+        stop."""
         sample = image[::_SAMPLE_STEP, ::_SAMPLE_STEP].copy()
         is_repeat = self._sample is not None and np.array_equal(sample, self._sample)
         self.n_repeated += self._repeats == (False, True) and not is_repeat
@@ -99,8 +100,8 @@ class DecodeLog:
             )
         if self.resets_s:
             notes.append(
-                f"the clock was set back {counted(len(self.resets_s), 'time')}, first after "
-                f"{self.resets_s[0]:.2f} s, as in joined files: the frames follow on at the nominal frame rate."
+                f"the clock was set back {counted(len(self.resets_s), 'time')}, first after {self.resets_s[0]:.2f} s, "
+                "as in joined files: later frames continue at the nominal frame rate."
             )
         if self._n_gaps:
             notes.append(

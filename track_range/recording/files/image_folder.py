@@ -29,14 +29,14 @@ _DARK = 257  # largest values below are those of dark images with 16 bits
 
 
 class UnreadableImageError(VideoError):
-    """An image of a folder that cannot be decoded; it is skipped unless it is one of all."""
+    """An image of a folder that cannot be decoded; it is skipped unless no image can be decoded."""
 
 
 class ImageFolder(RecordedVideo):
-    """Numbered images in one folder, in the order of their numbers; those that cannot be read are skipped.
+    """Numbered images in one folder, in the order of their numbers; unreadable images are skipped.
 
     `fps` is the argument, or the median rate of times in names or beside them, which may be seconds since 1970. Raises
-    VideoError for no numbered images, two of one number, one that is no regular file, or no readable one.
+    VideoError if there are no numbered images, two have the same number, one is no regular file, or none is readable.
     """
 
     path: Path
@@ -117,8 +117,8 @@ class ImageFolder(RecordedVideo):
                 self._shift = _shift_of(stored)
                 if self._shift not in (0, 8):
                     self._folder_notes.append(
-                        f"{self.path}: images of {8 + self._shift} bits per channel, by their largest value; reduced "
-                        "to their upper 8 bits."
+                        f"{self.path}: images have {8 + self._shift} bits per channel, judging by their largest value; "
+                        "their upper 8 bits are used."
                     )
                 return number, _reduced(stored, self._shift, self._bayer)
             except UnreadableImageError as error:

@@ -61,7 +61,7 @@ class NamedImages(NamedTuple):
 def named_images(folder: Path) -> NamedImages:
     """The images of a folder or pattern, of two cameras the left one's. Raises VideoError if there are none.
 
-    Times are those of a file beside the images (timestamps.txt, times.txt, data.csv), else those in the names.
+    Times are read from a file beside the images (timestamps.txt, times.txt, data.csv), else from the names.
     """
     with readable(folder, VideoError):
         files = matching_files(folder) if is_pattern(folder) else list(folder.iterdir())
@@ -76,7 +76,7 @@ def named_images(folder: Path) -> NamedImages:
     if (sides := _sides_in(files)) is not None:
         files, right_files = sides.values()
         notes.append(
-            f"{folder}: the images of two cameras; those of the left one are used ({files[0].name}, not "
+            f"{folder}: contains the images of two cameras; the left images are used ({files[0].name}, not "
             f"{right_files[0].name}); --stereo {folder} uses both."
         )
     files = sorted(files, key=lambda file: (natural_key(file.stem), file.name))
@@ -92,7 +92,7 @@ def named_images(folder: Path) -> NamedImages:
 
 
 def stereo_images(folder: Path) -> tuple[Path, Path] | None:
-    """The left and right folder in a folder, or the patterns of left and right images in it; None = neither."""
+    """The left and right folder in a folder, or the patterns of its left and right images; None = neither."""
     names = {entry.name.lower(): entry for entry in sorted(folder.iterdir()) if entry.is_dir()}
     for left, right in _FOLDERS:
         if left in names and right in names:
@@ -107,7 +107,8 @@ def stereo_images(folder: Path) -> tuple[Path, Path] | None:
 
 
 def _sides_in(files: Sequence[Path]) -> dict[str, list[Path]] | None:
-    """Pattern and images of the left and of the right camera, whose names differ only in the side; None = of one."""
+    """Pattern and images of the left and of the right camera, whose names differ only in the side; None = images of one
+    camera."""
     for sides in _SIDES:
         halves: dict[str, list[Path]] = {}
         remaining: list[set[str]] = []
@@ -221,7 +222,7 @@ _TIMESTAMP = re.compile(r"((?:19|20|21)\d\d-\d\d-\d\d)[ T](\d\d:\d\d:\d\d(?:\.\d
 
 
 def _parsed_times(cells: Sequence[str]) -> FloatArray | None:
-    """(N,) times in seconds of dates, seconds, or whole numbers in another unit; None for others."""
+    """(N,) times in seconds of dates, seconds, or whole numbers in another unit; None for other texts."""
     try:
         if all(_TIMESTAMP.fullmatch(cell.strip()) for cell in cells):
             dates = [_TIMESTAMP.sub(r"\1T\2", cell.strip()) for cell in cells]

@@ -256,7 +256,7 @@ class _Reading:
                 is_equal = size_px == self.tracks_px[number]
                 self.notes.append(
                     f"video track {other} ({size_px[0]}x{size_px[1]} px) is left out, track {number} is used; --track "
-                    f"chooses another one{', and --stereo FILE uses two of equal size as left and right' * is_equal}."
+                    f"chooses another track{', and --stereo FILE uses two of equal size as left and right' * is_equal}."
                 )
         rates_hz = [float(rate) for rate in (self.stream.average_rate, self.stream.guessed_rate) if rate]
         plausible_hz = [rate_hz for rate_hz in rates_hz if _MIN_RATE_HZ <= rate_hz <= _MAX_RATE_HZ]
@@ -272,8 +272,8 @@ class _Reading:
                 self.fps = stated
             else:
                 self.notes.append(
-                    f"states no times and no frame rate; {self.fps:g} frames/s are assumed, on which speeds depend: "
-                    "give it a container with the true rate (ffmpeg -r RATE -i IN -c copy OUT.mp4)."
+                    f"states no times and no frame rate; {self.fps:g} frames/s are assumed, and speeds depend on this "
+                    "rate: store the video with the true rate (ffmpeg -r RATE -i IN -c copy OUT.mp4)."
                 )
         self.time_base = self.stream.time_base or Fraction(1, 90_000)
         self._last_stamp: int | None = None  # of the packets so far, in ticks of `time_base`, continued over resets
@@ -442,8 +442,8 @@ def _prepared(stream: VideoStream) -> VideoStream:
 
 ZED_SENTENCE = (
     "a recording of a ZED camera (SVO), which only its SDK can read; export it with ZED's sample SVO Export as an AVI "
-    "of both images beside each other, give that with --stereo FILE --stereo-layout side-by-side "
-    "(Python: stereo_layout), and the camera's factory calibration SN*.conf with --rig."
+    "of both images beside each other, give this file with --stereo FILE --stereo-layout side-by-side (Python: "
+    "stereo_layout), and the camera's factory calibration SN*.conf with --rig."
 )
 
 

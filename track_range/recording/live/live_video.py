@@ -133,7 +133,10 @@ class LiveVideo:
         if self.has_ended:
             notes.append(f"{self.path}: the source ended the stream after {received}.")
         if n_dropped:
-            processed = f"{received} received, {self.n_taken} processed, {n_dropped} dropped (busy or unpaired)"
+            processed = (
+                f"{received} received, {self.n_taken} processed, {n_dropped} dropped (not paired, or processing too "
+                "slow)"
+            )
             processed += "" if self._every == 1 else f", the others left out by --every {self._every}"
             notes.append(f"{self.path}: {processed}.")
         return tuple(notes)

@@ -124,8 +124,8 @@ def find_alignment(
 ) -> PairAlignment:
     """The alignment of a calibrated pair: a given one, or "auto" = estimated from the drive's first frames.
 
-    Of `frames`, the rectified ones of the first `ESTIMATION_SPAN_S`, which `prior` has corrected, as many are read as
-    the estimation needs. A RigError means that a file cannot be used; errors of `frames` are passed on.
+    As many of the rectified `frames` of the first `ESTIMATION_SPAN_S`, corrected by `prior`, are read as the estimation
+    needs. A RigError means that a file cannot be used; errors of `frames` are passed on.
     """
     if (given := given_alignment(align, rig)) is not None:
         return given

@@ -1,4 +1,4 @@
-"""PackedPair: the pairs of a video whose images show those of two cameras; each is of one moment."""
+"""PackedPair: the pairs of a video whose images contain two cameras; the images of a pair are simultaneous."""
 
 from __future__ import annotations
 

@@ -102,7 +102,7 @@ class RecordedPair(VideoPair[RecordedVideo]):
         return unpaired if has_equal_rates else rates + unpaired
 
     def pairs(self) -> Generator[Pair, None, None]:
-        """Pair the earlier of two frames with the other one unless its successor is nearer to that."""
+        """Pair the earlier of two frames with the later frame, unless the successor of the earlier frame is nearer."""
         self._n_pairs, self._nearest_s = 0, math.inf
         self._sides = left, right = self._new_sides()
         with closing(left.frames), closing(right.frames):

@@ -1,4 +1,4 @@
-"""find_layout: where the images of a recording have those of two cameras.
+"""find_layout: where the images of a recording contain the images of two cameras.
 
 given -> stated by the file (frame packing of H.264 and HEVC, StereoMode, st3d, vexu) -> two video tracks of equal size
       -> stated by the name (drive_SBS.mp4) -> halves that match as left and right do
@@ -97,7 +97,7 @@ def find_layout(video: RecordedVideo | LiveVideo, given: LayoutOption) -> FoundL
 
 
 def mono_notes(video: RecordedVideo | LiveVideo) -> tuple[str, ...]:
-    """A note that the images of one camera are those of two, if they look like it."""
+    """A note that the images of one camera seem to contain two cameras, if so."""
     stated, images = video.stated_layout, [] if video.first_image is None else [video.first_image]
     layout = FoundLayout(stated, "as the file states") if stated else matching_halves(images)
     if layout is None:
@@ -124,7 +124,7 @@ def stereo_tracks(video: RecordedVideo | LiveVideo) -> tuple[int, ...]:
 
 
 def matching_halves(images: Sequence[Image]) -> FoundLayout | None:
-    """The layout of images whose halves are alike, as left and right are; None = they are images of one camera."""
+    """The layout of images whose halves are as similar as left and right images; None = images of one camera."""
     if not images:
         return None
     for layout, reversed_layout in _SWAPPED.items():

@@ -103,7 +103,7 @@ class SyncMonitor:
             yield self._next()
 
     def add(self, frame: Frame) -> list[Frame]:
-        """Check the next frame; returns those that need not wait any longer: without `n_ahead`, this one."""
+        """Check the next frame; returns the frames that need not wait any longer: without `n_ahead`, this frame."""
         if frame.right is None:
             return [frame]
         entry = _Entry(frame, (_small(frame.left), _small(frame.right)), self._shift)
@@ -293,7 +293,7 @@ def _is_other(lag: Lag | None) -> bool:
 
 
 def _is_repeated(change: float, usual: float, other: float, other_usual: float, *, is_old: bool) -> bool:
-    """Whether one side repeats its image while the other one moves; until it moves again, if it did before."""
+    """Whether one side repeats its image while the other side moves, or has repeated it and not moved since."""
     if usual < _NEVER_NEW * other_usual:
         return other_usual > _MIN_CHANGE and change < _NEVER_NEW * other_usual
     other_moves = other > max(_MIN_CHANGE, other_usual / 2) and usual > _MIN_CHANGE

@@ -1,4 +1,4 @@
-"""VideoHalf: the images of one camera in a video whose images show those of two, beside or below each other."""
+"""VideoHalf: the images of one camera in a video whose images contain two cameras beside or below each other."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from track_range.recording.utc import UtcStart
 
 
 def image_half(layout: StereoLayout, image: Image, *, is_right: bool) -> Image:
-    """The part of an image that is that of one camera, without a copy; an odd row or column is left out."""
+    """The part of an image that belongs to one camera, without a copy; an odd row or column is left out."""
     length_px = image.shape[0 if layout in STACKED else 1] // 2
     half = slice(-length_px, None) if is_right != (layout in REVERSED) else slice(length_px)
     return image[half] if layout in STACKED else image[:, half]
@@ -60,7 +60,7 @@ class VideoHalf(RecordedVideo):
                 yield self.half(frame)
 
     def half(self, frame: VideoFrame) -> VideoFrame:
-        """The part of a frame of both cameras that is that of this one; it shares its memory."""
+        """The part of a frame of both cameras that belongs to this camera; it shares the memory of the frame."""
         image = image_half(self.path.layout, frame.image, is_right=self.path.is_right)
         return VideoFrame(frame.index, frame.time_s, image)
 

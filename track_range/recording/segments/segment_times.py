@@ -55,7 +55,7 @@ class SegmentPlan:
 def arranged(
     files: Sequence[SegmentFacts], *, is_given_order: bool, repeated_s: Repeated = lambda _before, _after: 0.0
 ) -> SegmentPlan:
-    """The files, at least one, in the order of time; raises VideoError if they are those of several cameras.
+    """The files, at least one, in the order of time; raises VideoError for files of several cameras.
 
     An order that the user chose (`is_given_order`) is used if no times are known. `repeated_s` is the overlap from the
     content, used where times with a resolution of 1 s leave it open.
@@ -89,7 +89,8 @@ def arranged(
         ordered, stamps_s = [file for file, _ in clock], tuple(stamp.time_s for _, stamp in clock)
         if is_given_order and ordered != list(files):
             notes.append(
-                f"{_first_name(files)}: the files were given in another order than that of their times, which is used."
+                f"{_first_name(files)}: the order of the given files differs from the order of their times, which is "
+                "used."
             )
         starts_s, gaps_s = _dated_starts_s(ordered, stamps_s, repeated_s)
         stamp, named = clock[0][1], ordered[0].in_name
@@ -196,14 +197,14 @@ def _clock(files: Sequence[SegmentFacts]) -> tuple[_Dated | None, list[str]]:
         return (headers if _overlap_s(headers) <= _overlap_s(names) + _TOLERANCE_S * len(files) else names), []
     is_by_header = _overlap_s(headers) <= _overlap_s(names)
     note = (
-        f"{_first_name(files)}: the creation times in the headers contradict the times in the names of the files; "
-        f"those of the {'headers' if is_by_header else 'names'} are used, since the files overlap less."
+        f"{_first_name(files)}: the creation times in the headers contradict the times in the names of the files; the "
+        f"times in the {'headers' if is_by_header else 'names'} are used, since the files then overlap less."
     )
     return (headers if is_by_header else names), [note]
 
 
 def _header_starts(files: Sequence[SegmentFacts]) -> _Dated | None:
-    """The files with the creation times of their headers; times of the ends are converted to those of the starts."""
+    """The files with the creation times of their headers; times of the ends are converted to times of the starts."""
     stamps = [file.in_header for file in files]
     dated = _dated(files, stamps)
     if dated is None or dated[0][1].is_start:

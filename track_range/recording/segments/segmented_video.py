@@ -1,4 +1,4 @@
-"""SegmentedVideo: the frames of several video files that are one recording, such as those of a dashcam.
+"""SegmentedVideo: the frames of several video files that form one recording, as a dashcam writes them.
 
 headers of all files -> order and times (`segment_times`) -> one file open at a time -> frames with continuous numbers
 """
@@ -46,7 +46,7 @@ class SegmentedVideo(RecordedVideo):
 
     If this is the right video of a pair, the files of the `left` one give the times.
 
-    Raises VideoError if a named file does not exist, no file can be read, the files are those of several cameras, or
+    Raises VideoError if a named file does not exist, no file can be read, the files belong to several cameras, or
     their images differ in size; while iterating, if a file was deleted or changed in the meantime.
     """
 
@@ -277,7 +277,7 @@ def _videos_in(name: Path) -> list[Path] | None:
 
 
 def _repeated_s(before: SegmentFacts, after: SegmentFacts) -> float:
-    """Time, s, from the start of `after` to the end of `before`, if its first frames are the last ones of `before`.
+    """Time, s, from the start of `after` to the end of `before`, if its first frames are the last frames of `before`.
 
     Dashcams with an overlap write the last second of a file also to the beginning of the next one, without encoding it
     again. 0 = no compressed frame is in both, or a file cannot be read.

@@ -31,7 +31,7 @@ largest step back of a clock; receivers repeat a second now and then."""
 _HOUR_S, _HOUR_TOLERANCE_S = 3600.0, 3.0  # gaps of whole hours are jumps of the clock; one pause in 600 is like that
 
 MIN_STABLE_S, _MIN_STABLE_FRACTION = 10.0, 0.9
-"""Shortest time with a fix, and smallest fraction of samples with one, after which a clock that was wrong before the
+"""Shortest time with a fix, and smallest fraction of samples with a fix, after which a clock that was wrong before the
 fix is no reason to doubt the rest."""
 
 _FIRST_DATE_S = 1_199_145_600.0  # 2008; receivers without a date state 1980, 2000 or 2004, or 1024 weeks ago
@@ -41,8 +41,8 @@ _MIN_LOSSES, _MIN_FIX_FRACTION = 5, 0.6
 one known recording of a parked car with false speeds has 22 losses in 3 minutes and a fraction of 0.38."""
 
 _MIN_COMPARED, _UNIT_TOLERANCE, _MAX_DEVIATION = 10, 0.05, 0.12
-"""Number of steps that are compared with positions; relative difference up to which they confirm a unit, and largest
-one of an own speed, such as that of a speedometer, which becomes less certain. Units differ by 13 %."""
+"""Number of steps that are compared with positions; relative difference up to which they confirm a unit, and the
+largest difference of a vehicle's own speed, as of a speedometer, which becomes less certain. Units differ by 13 %."""
 
 _MAX_SCATTER = 0.3  # largest median relative deviation of single steps where the positions decide on the unit
 
@@ -90,7 +90,7 @@ def _check_clock(track: TelemetryTrack) -> None:
 
 
 def _after_cold_start(track: TelemetryTrack) -> TelemetryTrack | None:
-    """The track from its first dated sample with a fix on; None = it starts with one, or the fix is not stable."""
+    """The track from its first dated sample with a fix on; None = it starts with a fix, or the fix is not stable."""
     has_fix = np.isfinite(track.speed_mps) & ~(track.utc_s < _FIRST_DATE_S)
     if has_fix[0] or not has_fix.any():
         return None
@@ -109,7 +109,7 @@ def _check_losses(track: TelemetryTrack) -> None:
     n_losses = int((has_fix[:-1] & ~has_fix[1:]).sum())
     if n_losses >= _MIN_LOSSES and has_fix.mean() < _MIN_FIX_FRACTION:
         raise TelemetryError(
-            f"the receiver loses its fix {n_losses} times and has one in {has_fix.mean():.0%} of the samples only; "
+            f"the receiver loses its fix {n_losses} times and has a fix in only {has_fix.mean():.0%} of the samples; "
             "such speeds are not reliable."
         )
 
@@ -154,8 +154,8 @@ def with_unit(track: TelemetryTrack) -> TelemetryTrack:
         if track.unit is not None or not (track.speed_mps > MOVING_MPS).any():
             return track
         note = (
-            f"its speeds have no unit and are taken as m/s; only {ratio.n_moving} positions of a moving car could "
-            "show it."
+            f"its speeds have no unit and are taken as m/s; only {ratio.n_moving} positions of a moving car could show "
+            "the unit."
         )
         return replace(track, notes=(*track.notes, note))
     stated_mps = float(np.nanmedian(track.speed_mps))

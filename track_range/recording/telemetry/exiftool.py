@@ -74,7 +74,7 @@ def read_with_exiftool(path: Path) -> TelemetryTrack | None:
 def track_of_records(record: object) -> TelemetryTrack | None:
     """Telemetry of the JSON object of a file; None = it has no records of a receiver.
 
-    Times are those in the video where ExifTool states them for all records, otherwise those of the receiver.
+    Times are times in the video if ExifTool states them for all records, otherwise times of the receiver.
     """
     if not isinstance(record, Mapping):
         return None

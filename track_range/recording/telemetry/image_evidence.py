@@ -44,8 +44,8 @@ def motion_of(
 ) -> MotionSeries:
     """Motion of the images of a video from `start_s` after the first frame on; empty if they cannot be read.
 
-    Of a file with frequent key frames, only these and the frames 0.1 s later are decoded; otherwise all frames.
-    `camera` is its approximate camera. Of large images, less than `span_s` is read (`_MAX_DECODED_PX`).
+    In a file with frequent key frames, only key frames and the frames 0.1 s later are decoded; otherwise all frames
+    are. `camera` is its approximate camera. For large images, less than `span_s` is read (`_MAX_DECODED_PX`).
     """
     rows: list[tuple[float, float, float, float]] = []
     with suppress(UserError, av.FFmpegError):  # the run reports what it cannot read

@@ -20,7 +20,7 @@ MOVING_MPS = 3.0  # speed above which a sample is moving: the noise of positions
 
 
 def has_position(latitude_deg: FloatArray, longitude_deg: FloatArray) -> BoolArray:
-    """(N,) whether there is a position; 0, 0 is that of receivers without a fix."""
+    """(N,) whether there is a position; 0, 0 comes from receivers without a fix."""
     is_known = np.isfinite(latitude_deg) & np.isfinite(longitude_deg)
     return is_known & ((np.abs(latitude_deg) > 1e-6) | (np.abs(longitude_deg) > 1e-6))
 
@@ -102,7 +102,7 @@ def _is_new(time_s: FloatArray, latitude_deg: FloatArray, longitude_deg: FloatAr
     """(N,) whether a position in the order of time is not merely repeated until the next fix, as in tables at 10 Hz.
 
     Fixes come as often as positions change in the median. A position that is held for longer than two of these times
-    is that of a car at rest.
+    belongs to a car at rest.
     """
     changes = np.concatenate([[True], (np.diff(latitude_deg) != 0) | (np.diff(longitude_deg) != 0)])
     if changes.sum() < 3:

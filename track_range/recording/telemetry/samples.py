@@ -1,4 +1,4 @@
-"""Sample: one record of a receiver with its date, coordinates and unit of speed, and the track of a list of them."""
+"""Sample: one record of a receiver with its date, coordinates and unit of speed, and the track of a list of samples."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def in_known_unit(samples: Sequence[Sample], unit: Unit) -> tuple[list[Sample], 
     if unit == "assumed":
         return list(samples), ("The unit of the speed is not documented; km/h is assumed.",)
     without = [sample._replace(speed_mps=math.nan) for sample in samples]
-    return without, ("The unit of the speed is unknown, and the positions are encrypted; it is not used.",)
+    return without, ("The unit of the speed is unknown, and the positions are encrypted; the speed is not used.",)
 
 
 def _course_from_positions(
@@ -145,7 +145,7 @@ def _course_from_positions(
 
 
 def date_s(year: float, month: float, day: float, hour: float, minute: float, second: float) -> float:
-    """Seconds since 1970 of a date and time; NaN = it is none. Years below 100 count from 2000."""
+    """Seconds since 1970 of a date and time; NaN = invalid. Years below 100 count from 2000."""
     try:
         date = int(year) + 2000 if year < 100 else int(year), int(month), int(day)
         whole = datetime(*date, int(hour), int(minute), tzinfo=UTC)

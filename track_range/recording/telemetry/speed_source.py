@@ -98,7 +98,7 @@ def open_speed(
 
 
 def _file_at(parts: Sequence[VideoPart], start_s: float, span_s: float) -> tuple[Path, float] | None:
-    """The one of several files with most of the part from `start_s` on, and its start; None = there is none."""
+    """The file that covers most of the part from `start_s` on, and its start; None = no file covers it."""
     for part in parts if len(parts) > 1 else ():
         if part.start_s <= start_s and start_s + span_s / 2 <= part.start_s + part.duration_s:
             return part.path, part.start_s
@@ -150,7 +150,7 @@ def _table_beside(part: VideoPart) -> SpeedSource:
             except (EgoSpeedError, TelemetryError) as error:
                 notes.append(f"Telemetry is not used: {error}")
                 continue
-            note = f"Ego speed from {path.name} beside the video; --ego-speed off ignores it."
+            note = f"Ego speed from {path.name} beside the video; --ego-speed off ignores this file."
             return SpeedSource(ego=ego, notes=(*notes, *checked, note), files=(path,))
     return SpeedSource(notes=tuple(notes))
 
@@ -198,7 +198,7 @@ def _automatic(parts: Sequence[VideoPart], motion: Callable[[], MotionSeries], n
                 offset_s, sigma_s = source.offset.offset_s, source.offset.sigma_s
                 late = "late" if offset_s >= 0 else "early"
                 shift = f", {abs(offset_s):.2f} +- {sigma_s:.2f} s {late} and corrected"
-            note = f"Ego speed from {telemetry.track.source}{shift}; --ego-speed off ignores it."
+            note = f"Ego speed from {telemetry.track.source}{shift}; --ego-speed off ignores this source."
             return replace(source, notes=(*notes, note))
         notes = (*notes, f"Telemetry is not used: {telemetry.track.source}: {problem}.")
     return SpeedSource(notes=notes)

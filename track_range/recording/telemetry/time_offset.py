@@ -5,8 +5,8 @@
 
 The typical depth changes along the road: z is a Gauss-Markov process with the standard deviation sigma_z and the time
 constant tau, so that slow changes of the expansion have little weight, and fast ones much. o is searched on a
-grid, with the best k and q for each o. The likelihoods of both are multiplied; their mean and standard deviation are
-the result. The noise n of the yaw rate is estimated from its residual, with the time over which it is correlated.
+grid, with the best k and q for each o. Both likelihoods are multiplied; the mean and standard deviation of the product
+are the result. The noise n of the yaw rate is estimated from its residual, with the time over which it is correlated.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ class TelemetryError(UserError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TelemetryTrack:
-    """Samples of a recording in the order of the file, as they are in it: nothing is checked or filtered.
+    """Samples of a recording in the order and form of the file, neither checked nor filtered.
 
     A sample without a fix stays in the track, with NaN as speed, course and position.
     """

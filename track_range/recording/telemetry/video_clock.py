@@ -46,10 +46,10 @@ def on_video_clock(track: TelemetryTrack, part: VideoPart) -> tuple[TelemetryTra
         tolerance_s = max(_EQUAL_LENGTH_S, _EQUAL_LENGTH_FRACTION * part.duration_s)
         if not part.duration_s or not math.isfinite(length_s) or abs(length_s - part.duration_s) > tolerance_s:
             raise TelemetryError(
-                "the video states no date and time with which its times could be matched; give that of "
-                "the first frame with --start-utc."
+                "the video states no date and time that could be matched with its times; give the time of the first "
+                "frame with --start-utc."
             )
-        note = "the video states no date and time; both have the same length and are taken to start together."
+        note = "the video states no date and time; both are equally long and are taken to start together."
         shifted = replace(track, time_s=track.time_s - track.time_s[0], clock="video", notes=(*track.notes, note))
         return shifted, _CLOCK_SIGMA_S
     if track.time_s[-1] < 2 * DAY_S:  # times of the day, without a date
@@ -75,13 +75,14 @@ def on_video_clock(track: TelemetryTrack, part: VideoPart) -> tuple[TelemetryTra
             else (f"; if the time of the video is local, give --start-utc as {_text(starts_s[0] - zones[0])}.")
         )
         raise TelemetryError(
-            f"its times, {_text(float(track.time_s[0]))} to {_text(float(track.time_s[-1]))}, are not those of the "
+            f"its times, {_text(float(track.time_s[0]))} to {_text(float(track.time_s[-1]))}, do not overlap the "
             f"video, which starts {_text(part.utc.start_s)}{advice}"
         )
     together = [fit for fit in fits if abs(float(track.time_s[0]) + fit[0] - fit[1]) <= _START_S]
     if len(together or fits) > 1:
         raise TelemetryError(
-            "the start of the video is not known well enough to match the times; give it with --start-utc."
+            "the start of the video is not known well enough to match the times; give the time of the first frame "
+            "with --start-utc."
         )
     zone_s, start_s = (together or fits)[0]
     note = f"its times differ from those of the video by a time zone; {zone_s / 3600:+g} h added."
@@ -90,7 +91,7 @@ def on_video_clock(track: TelemetryTrack, part: VideoPart) -> tuple[TelemetryTra
 
 
 def check_covered(time_s: FloatArray, length_s: float, source: str) -> None:
-    """Raise TelemetryError, which names the source, if samples that the user names are not those of the video.
+    """Raise TelemetryError, which names the source, if samples that the user names do not belong to the video.
 
     They must cover a tenth of its length, 0 = unknown; (N,) times in s from its first frame.
     """

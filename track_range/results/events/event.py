@@ -85,7 +85,7 @@ class EventSettings:
 def severity_key(event: Event) -> tuple[bool, float, float, float, float]:
     """Sort key of events, the most severe first.
 
-    Events with a collision warning come before others; then the larger probability of contact, the shorter time to
+    Events with a collision warning come first; then the larger probability of contact, the shorter time to
     collision, the smaller distance, and the earlier peak. Unknown values come last.
     """
     return (
@@ -103,5 +103,5 @@ def clip_name(number: int, kind: str, track_id: int) -> str:
 
 
 def is_clip_name(name: str) -> bool:
-    """Whether a file name is that of a clip."""
+    """Whether a file name belongs to a clip."""
     return _CLIP_NAME.fullmatch(name) is not None

@@ -80,8 +80,8 @@ _NUMBERS: Mapping[str, _Number] = {  # all other columns are texts
 class EventFiles:
     """events.csv and events.parquet of a run in progress; a context manager that closes what `finish` did not.
 
-    `metadata` is that of events.parquet (`Provenance.metadata`). OutputError: events.csv cannot be created; also raised
-    by `add` and `finish` if a file cannot be written.
+    `metadata` is the metadata of events.parquet (`Provenance.metadata`). OutputError: events.csv cannot be created;
+    also raised by `add` and `finish` if a file cannot be written.
     """
 
     files = (EVENTS_FILE, EVENTS_PARQUET)
@@ -230,7 +230,7 @@ def _events(
 
 
 def _event(cells: Mapping[str, Any], row_name: str) -> Event:
-    """The event in the cells of a row by column, those of CSV as text."""
+    """The event in the cells of a row by column; cells of CSV are texts."""
     values = {name: _value(name, cells.get(name), row_name) for name in EVENT_COLUMNS}
     kind = values["kind"].lower()
     problem = ""

@@ -193,12 +193,12 @@ class EventFinder:
         return ended
 
     def finish(self) -> tuple[Event, ...]:
-        """All events of the drive in the order of their starts, those in progress included; ends the drive."""
+        """All events of the drive in the order of their starts, including events in progress; ends the drive."""
         self._close(math.inf)
         return self.so_far()
 
     def so_far(self) -> tuple[Event, ...]:
-        """Events that have ended and those in progress that count, in the order of their starts."""
+        """Events that have ended, and events in progress that count, in the order of their starts."""
         in_progress = (_event(event) for event in self._open if self._counts(event))
         ended = (self._with_pet(event, paths) for event, paths in self._ended)
         return tuple(sorted((*ended, *in_progress), key=lambda event: event.start_s))
@@ -309,7 +309,8 @@ class EventFinder:
     def _same(
         self, kind: EventKind, track_id: int, result: FrameResult, distance_m: float, offset_m: float, group: int
     ) -> _Open | None:
-        """The event in progress of this kind and object; of one of its earlier tracks if that is gone."""
+        """The event in progress of this kind and object; of one or of an earlier track of the object, if that track is
+        gone."""
         same_kind = [event for event in self._open if event.kind == kind]
         same = next((event for event in same_kind if track_id in event.track_ids), None)
         if same is not None or not same_kind:

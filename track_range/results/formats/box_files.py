@@ -12,7 +12,7 @@ through the middle of the lower edge of the box, at the fused distance,
 
     Z = fused_m    X = (u - cx) / fx Z    Y = (v - cy) / fy Z    u = (x1 + x2) / 2    v = y2
 
-in the left camera's frame (x right, y down, z forward). Z is that of the visible surface, not of the body's middle.
+in the left camera's frame (x right, y down, z forward). Z belongs to the visible surface, not to the body's middle.
 """
 
 from __future__ import annotations

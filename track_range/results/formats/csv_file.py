@@ -39,10 +39,10 @@ class CsvWriter(RowWriter):
 
 
 def read_tracks_csv(path: Path) -> Columns:
-    """Columns of a tracks.csv: `TEXT_COLUMNS` as str, the others as float64 with NaN for an empty cell.
+    """Columns of a tracks.csv: `TEXT_COLUMNS` as str, other columns as float64 with NaN for an empty cell.
 
     Rows with a different number of cells than the header, such as the last one of a killed run, are skipped.
-    OutputError if the file cannot be read, is not a tracks.csv, or has no row of the header's length but others.
+    OutputError if the file cannot be read, is not a tracks.csv, or has rows, but none of the header's length.
     """
     import pyarrow as pa
     from pyarrow import ArrowException, csv as arrow_csv

@@ -1,8 +1,9 @@
 """run.xosc: ASAM OpenSCENARIO 1.2 with the trajectories of the camera's vehicle and of the tracks, without a road.
 
-Positions are those of the frame `map`. The reference point of the ego vehicle is the camera, that of an object the
-middle of a box of nominal size behind its visible side; parked objects stay at the median of their positions. Objects
-are added when they are first seen, and deleted when they were last seen. Times are seconds from the first known pose.
+Positions are in the frame `map`. The reference point of the ego vehicle is the camera, the reference point of an object
+is the middle of a box of nominal size behind its visible side; parked objects stay at the median of their positions.
+Objects are added when they are first seen, and deleted when they were last seen. Times are seconds from the first known
+pose.
 """
 
 from __future__ import annotations

@@ -119,7 +119,7 @@ def _stream(path: Path) -> Iterator[pa.RecordBatchStreamReader]:
 def _complete_batches(
     reader: pa.RecordBatchStreamReader, errors: list[Exception] | None = None
 ) -> Iterator[pa.RecordBatch]:
-    """Batches with rows; the error of a last one that is incomplete is added to `errors`."""
+    """Batches with rows; the error of an incomplete last batch is added to `errors`."""
     from pyarrow import ArrowException
 
     while True:
@@ -137,7 +137,7 @@ def _complete_batches(
 
 
 def read_tracks_parquet(path: Path) -> Columns:
-    """Columns of a tracks.parquet: `TEXT_COLUMNS` as str, the others as float64 with NaN for null.
+    """Columns of a tracks.parquet: `TEXT_COLUMNS` as str, other columns as float64 with NaN for null.
 
     Columns of other types are skipped. OutputError if the file cannot be read, is not of a run, or was written by a
     newer version.
@@ -183,7 +183,8 @@ def _errors_of(path: Path) -> Iterator[None]:
 
 
 def _usable_columns(path: Path, schema: pa.Schema) -> list[str]:
-    """Names of the columns that can be read; OutputError for a newer version, ValueError for too many or equal ones."""
+    """Names of the columns that can be read; OutputError for a newer version, ValueError for too many or equal
+    names."""
     from pyarrow import types
 
     check_schema_version(path, schema.metadata, OutputError)

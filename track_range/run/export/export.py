@@ -51,7 +51,7 @@ _WRITTEN_ENTRIES = frozenset({"labels", "images", DATA_YAML})  # of a folder tha
 
 
 def export_formats() -> tuple[str, ...]:
-    """Names of the formats that are written: label formats, then those of the rows of a run."""
+    """Names of the formats that are written: label formats, then formats of the rows of a run."""
     return (*(name for name, label_format in LABEL_FORMATS.items() if label_format.write is not None), *MARKS)
 
 
@@ -72,7 +72,7 @@ class ExportSettings(Options):
     images: Annotated[
         bool,
         option(
-            "With yolo, additional output of the video's frames as JPEG images, for training; those of a run are "
+            "With yolo, additional output of the video's frames as JPEG images, for training; images of a run are "
             "rectified like its boxes."
         ),
     ] = False
@@ -106,7 +106,9 @@ def export(settings: ExportSettings) -> Exported:
     if label_format is not None and label_format.write is not None:
         return _export_labels(settings, label_format, label_format.write, run, camera)
     if run is None:
-        raise UsageError(f"--to {settings.to}: expected the result folder of a run, found labels, which lack its rows.")
+        raise UsageError(
+            f"--to {settings.to}: expected the result folder of a run, found labels, which lack the rows of a run."
+        )
     return _export_rows(settings, run, camera)
 
 
@@ -120,7 +122,7 @@ def _check(settings: ExportSettings, run: RunFolder | None) -> None:
         raise UsageError("--video and --first-frame: expected labels as input; a run has its video and frame numbers.")
     if settings.images and run is not None and run.settings.get("anonymize"):
         raise UsageError(
-            "--images: this run was anonymized, but images would show the frames of the video as they are."
+            "--images: this run was anonymized, but the images would show the video's frames without anonymization."
         )
     if settings.images and run is None and settings.video is None:
         raise UsageError("--images requires --video, the video that the labels belong to.")
@@ -150,7 +152,7 @@ def _export_labels(
         table = table.select(table.observed)
     if label_format.has_classes and (n_unnamed := int(np.count_nonzero(table.class_name == ""))):
         table = table.with_class(0)  # person, as in MOTChallenge
-        notes = (*notes, f"Boxes without a class in the input, which are written as person: {n_unnamed}.")
+        notes = (*notes, f"Boxes without a class in the input are written as person: {n_unnamed}.")
     if not label_format.is_folder:
         check_replaceable(settings.out, settings.to)
         with _output(settings.out), atomic_path(settings.out) as partial:
@@ -173,7 +175,7 @@ def _write_images(settings: ExportSettings, table: BoxTable, folder: Path) -> in
     if len(table) and not np.isin(table.frame, numbers).all():
         last = max(numbers, default=-1)
         raise OutputError(
-            f"{settings.source}: expected boxes in the {len(numbers)} frames of the video, 0 to {last}, found one in "
+            f"{settings.source}: expected boxes in the {len(numbers)} frames of the video, 0 to {last}, found a box in "
             f"frame {table.frame[~np.isin(table.frame, numbers)][0]}."
         )
     for file in (folder / "labels").iterdir():
@@ -244,7 +246,7 @@ def _output(out: Path) -> Iterator[None]:
 
 @contextmanager
 def _replaced_folder(out: Path) -> Iterator[Path]:
-    """A new path next to `out`, whose folder replaces `out`, a new folder or one of an export, at the end."""
+    """A new path next to `out`, which replaces `out`, a new folder or the folder of an export, at the end."""
     check_replaceable(out, "yolo")
     with _output(out), tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as temporary:
         folder = Path(temporary) / "new"
@@ -261,18 +263,18 @@ def check_replaceable(out: Path, name: str) -> None:
     if name == "yolo":
         if not _is_written_folder(out):
             raise OutputError(
-                f"{out}: expected a new or empty folder, or one of an earlier export with nothing else in it; choose "
+                f"{out}: expected a new or empty folder, or a folder that contains only an earlier export; choose "
                 "another --out."
             )
     elif not _has_format(out, name):
         raise OutputError(
-            f"{out}: expected a new file, or one in the format {name} to replace, found something else; choose another "
-            "--out."
+            f"{out}: expected a new file, or a file in the format {name} to replace, found another format; choose "
+            "another --out."
         )
 
 
 def _is_written_folder(path: Path) -> bool:
-    """Whether a path is an empty folder, or one that an export wrote."""
+    """Whether a path is an empty folder, or a folder that an export wrote."""
     try:
         entries = {entry.name for entry in path.iterdir()}
         if not entries:

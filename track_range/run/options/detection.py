@@ -38,20 +38,20 @@ AnchorsField = Annotated[
     ),
 ]
 LetterboxField = Annotated[
-    str | None, option(f"{LETTERBOX_HELP} (default: that of the network family).", metavar="NAME")
+    str | None, option(f"{LETTERBOX_HELP} (default: as usual for the network family).", metavar="NAME")
 ]
 LayoutField = Annotated[
     str | None,
     option(
-        "Name of the layout of the network's outputs, such as yolov8; see docs/how-to/detectors.md (default: by their "
-        "shapes and values).",
+        "Name of the layout of the network's outputs, such as yolov8; see docs/how-to/detectors.md (default: "
+        "recognised from the shapes and values of the outputs).",
         metavar="NAME",
     ),
 ]
 SizeField = Annotated[
     int | None,
     option(
-        "Longer side of the network input in pixels, for a network of variable input size (default: that in the model "
+        "Longer side of the network input in pixels, for a network of variable input size (default: as in the model "
         "file, else 640).",
         flag="--size",
         metavar="PX",
@@ -72,8 +72,8 @@ DeviceField = Annotated[
 TrackerField = Annotated[
     str,
     option(
-        "Tracker: deepsort (motion and appearance), sort (motion only), or a class of an installed package or of a "
-        "module in the current folder, in which only the command line searches.",
+        "Tracker: deepsort (motion and appearance), sort (motion only), or a class of an installed package or (only "
+        "on the command line) of a module in the current folder.",
         metavar="NAME|MODULE:CLASS",
         is_shared=True,
     ),

@@ -29,7 +29,7 @@ class InputOptions(Options):
         option(
             "Left and right video: files, folders of numbered images, camera numbers (0 1) or streams (rtsp://...); "
             "for recordings in several files, folders of videos, patterns such as 'DIR/*_L.mp4', or the option "
-            "repeated for each pair of files. Or one of them with the images of both cameras, as ZED, OAK and other "
+            "repeated for each pair of files. Or one recording with the images of both cameras, as ZED, OAK and other "
             "stereo cameras record (--stereo-layout).",
             metavar="LEFT RIGHT|BOTH",
             is_repeated=True,
@@ -43,9 +43,9 @@ class InputOptions(Options):
         _clip_option(
             "With one recording of both cameras, where their images are: beside each other with the left camera's on "
             "the left (side-by-side) or right (right-left), below each other with the left camera's at the top "
-            "(top-bottom) or bottom (bottom-top), or in two video tracks of a file (tracks). By default (auto) from "
-            "the file, its name, or the images; images squeezed to half their width or height are recognised by the "
-            "size in --rig.",
+            "(top-bottom) or bottom (bottom-top), or in two video tracks of a file (tracks). By default (auto), the "
+            "layout follows from the file, its name or the images; images squeezed to half their width or height are "
+            "recognised by the size in --rig.",
         ),
     ] = None
     mono: Annotated[
@@ -63,7 +63,7 @@ class InputOptions(Options):
     track: Annotated[
         int | None,
         _clip_option(
-            "With --mono, video track of a file with several of them, counted from 0 (default: the largest one).",
+            "With --mono, video track of a file with several tracks, counted from 0 (default: the largest one).",
             metavar="N",
             ge=0,
             le=99,
@@ -72,18 +72,19 @@ class InputOptions(Options):
     topics: Annotated[
         tuple[str, ...],
         _clip_option(
-            "Topics of the images in an MCAP file or ROS bag: one for --mono, two for --stereo BAG, or one with "
-            "the images of both cameras (--stereo-layout); without --rig, the "
-            "calibration is that of the topics camera_info beside them.",
+            "Topics of the images in an MCAP file or ROS bag: one for --mono, two for --stereo BAG, or one with the "
+            "images of both cameras (--stereo-layout); without --rig, the calibration is read from the corresponding "
+            "topics camera_info.",
             metavar="LEFT,RIGHT",
         ),
     ] = ()
     rig: Annotated[
         Path | None,
         _clip_option(
-            "Calibration file, recognised by its content: rig.yaml, ZED's SN*.conf, DepthAI's (OAK) JSON, RealSense's, "
-            "OpenCV's, MATLAB's, NumPy's, Kalibr's, EuRoC's, ROS's, KITTI's and others, or a folder of them "
-            "(default: rig.yaml or calib.txt in the folder of the left video; without one, distances are uncalibrated)."
+            "Calibration file, recognised by its content: rig.yaml, ZED's SN*.conf, DepthAI's (OAK) JSON, "
+            "RealSense's, OpenCV's, MATLAB's, NumPy's, Kalibr's, EuRoC's, ROS's, KITTI's and others, or a folder of "
+            "such files (default: rig.yaml or calib.txt in the folder of the left video; without one, distances are "
+            "uncalibrated)."
         ),
     ] = None
     focal_px: Annotated[
@@ -97,8 +98,8 @@ class InputOptions(Options):
     fov_deg: Annotated[
         float | None,
         option(
-            "Horizontal field of view in degrees to which the images of a wide lens are undistorted (default: that of "
-            "the lens, at most 120).",
+            "Horizontal field of view in degrees to which the images of a wide lens are undistorted (default: the "
+            "field of view of the lens, at most 120).",
             metavar="DEG",
             ge=20,
             le=120,
@@ -149,15 +150,15 @@ class InputOptions(Options):
     bayer: Annotated[
         Bayer | None,
         _clip_option(
-            "Bayer filter of the images of a folder, which are stored without colours (.pgm, .png, .tiff), by the "
-            "colours of the first two pixels of their first two rows: rggb, bggr, gbrg or grbg."
+            "Bayer filter of raw images in a folder (.pgm, .png, .tiff), given by the colours of the first two pixels "
+            "in the first two rows: rggb, bggr, gbrg or grbg."
         ),
     ] = None
     start_utc: Annotated[
         str | None,
         _clip_option(
-            "Date and time (UTC) of the video's first frame, for the column utc (default: from the video's header, its "
-            "name or its timestamps, where they state it).",
+            "Date and time (UTC) of the video's first frame, for the column utc (default: from the video's header, "
+            "its name or its timestamps, if they state a date).",
             metavar="2026-01-31T14:25:30Z",
             instead="the start of a recording belongs to a clip; give it in the column start_utc of a manifest",
         ),

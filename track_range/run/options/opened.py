@@ -61,7 +61,7 @@ def open_detector(path: Path, options: DetectorOptions, *, lowest_score: float |
 
 
 def class_names(option: str | None) -> tuple[str, ...] | None:
-    """Class names from `a,b,c` or from a file with one name per line; ConfigError for unreadable or empty ones."""
+    """Class names from `a,b,c` or from a file with one name per line; ConfigError for unreadable or empty files."""
     if option is None:
         return None
     path = Path(option)

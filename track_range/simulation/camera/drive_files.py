@@ -42,7 +42,7 @@ class PngFolder:
 
 
 def make_png_folder(folder: Path) -> None:
-    """Create a folder for PNG images; those of an earlier drive are removed."""
+    """Create a folder for PNG images; images of an earlier drive are removed."""
     make_folder(folder)
     for old in folder.glob("*.png"):
         with suppress(OSError):

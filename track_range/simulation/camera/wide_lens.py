@@ -2,9 +2,9 @@
 
 A pinhole ahead with the lens's resolution on the axis and its field of view, at most 120 degrees
 (`virtual_pinhole.py`), is rendered, and for lenses that see more, two pinholes to the sides; each pixel of the wide
-image is the mean of SAMPLES x SAMPLES directions. Directions behind the camera, and at night and in rain those to the
-sides, are black. Boxes of the ground truth are in pixels of the pinhole ahead, to which a run undistorts the images;
-detections are in pixels of the wide image.
+image is the mean of SAMPLES x SAMPLES directions. Directions behind the camera, and directions to the sides at night
+and in rain, are black. Boxes of the ground truth are in pixels of the pinhole ahead, to which a run undistorts the
+images; detections are in pixels of the wide image.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class WideLens:
         return cls(rig, StereoRig.rectified(pinhole, rig.baseline_m), xy_px, tuple(sides))
 
     def recorded(self, ahead: Image, beside: Sequence[Image] = ()) -> Image:
-        """The wide image of an image of the pinhole ahead and of those of `sides`, if they are rendered.
+        """The wide image from an image of the pinhole ahead and, if they are rendered, images of `sides`.
 
         The images may be rendered with several samples per pixel and axis.
         """
@@ -83,7 +83,8 @@ class WideLens:
         return np.asarray(cv2.resize(samples, size_px, interpolation=cv2.INTER_AREA), np.uint8)
 
     def recorded_labels(self, labels: KittiLabels) -> KittiLabels:
-        """Labels of the pinhole's images with boxes in pixels of the wide images, without those outside of them."""
+        """Labels of the pinhole's images with boxes in pixels of the wide images, without boxes outside of these
+        images."""
         camera = self.rig.left
         xyxy_px = Undistorter(camera).recorded_boxes(labels.xyxy_px)
         edge = np.array([camera.width_px, camera.height_px] * 2, np.float64) - 1

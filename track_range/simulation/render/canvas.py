@@ -28,7 +28,7 @@ Slices = tuple[slice, slice]
 class Canvas:
     """An image with a depth buffer: (H, W, 4) uint8 `bgra`, and `inverse_depth`, (H, W) 1/z in 1/m, 0 = nothing drawn.
 
-    `labels` are those of the face that each sample shows, (H, W) as `FaceTable.label`; (0, 0) without `has_labels`.
+    `labels` belong to the face that each sample shows, (H, W) as `FaceTable.label`; (0, 0) without `has_labels`.
     """
 
     def __init__(self, camera: PinholeCamera, store: TextureStore, *, has_labels: bool = False) -> None:

@@ -126,7 +126,7 @@ def _in_view(pieces: Pieces, camera: PinholeCamera) -> Pieces:
 
 
 def _halved(pieces: Pieces, is_split: BoolArray) -> Pieces:
-    """The pieces in the same order, with those of `is_split` (P,) halved at a texel along the edge that is deeper."""
+    """The pieces in the same order, with the pieces `is_split` (P,) halved at a texel along the edge that is deeper."""
     both = pieces.select(np.repeat(np.arange(len(pieces)), 1 + is_split))
     is_cut = np.repeat(is_split, 1 + is_split)
     is_second = is_cut & (np.cumsum(is_cut) % 2 == 0)

@@ -172,8 +172,8 @@ Boxes = tuple[FloatArray, FloatArray, tuple[float, float, float]]
 def boxes_touch(first: Boxes, second: Boxes) -> BoolArray:
     """(T,) whether two boxes touch or overlap, by the separating axis theorem.
 
-    Two convex boxes are apart exactly if their projections on one of 15 axes are: the three axes of each box and the
-    nine cross products of one axis of each.
+    Two convex boxes are apart exactly if their projections on one of 15 axes do not overlap: the three axes of each box
+    and the nine cross products of one axis of each.
     """
     (centre_a, axes_a, size_a), (centre_b, axes_b, size_b) = first, second
     half_a, half_b = (np.array([length, height, width]) / 2 for height, width, length in (size_a, size_b))

@@ -1,6 +1,6 @@
 r"""Irreversible blur of regions: low-pass filter, mosaic, noise and quantization.
 
-The colours of a region are replaced by those of a mosaic with cells of c px:
+The colours of a region are replaced by a mosaic with cells of c px:
 
     image -> average of c/4 px, twice -> Gaussian, sigma = c -> average of c px -> noise -> quantization -> cells
 

@@ -3,8 +3,8 @@
     pipeline -> results, held back -> regions from earlier and later frames -> blurred image -> overlay, writers
 
 A region does not flicker: boxes that a track lacks are interpolated between the detections before and after, and
-extrapolated to the frames before its first and after its last box. Detections that are not part of a track, also those
-with low scores, are covered in their frame and its neighbours.
+extrapolated to the frames before its first and after its last box. Detections that are not part of a track, including
+low scores, are covered in their frame and its neighbours.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ LIVE = LookAhead(time_s=0.0, max_frames=0)  # look-ahead for cameras and streams
 def anonymized_results(results: Iterable[FrameResult], look_ahead: LookAhead) -> Generator[FrameResult, None, None]:
     """Results in order with `frame.left` anonymized, and without `frame.right` and `candidates`.
 
-    The regions come from the tracks, and from `candidates` where there are any. If `results` raises, those that are
+    The regions come from the tracks, and from `candidates` where there are any. If `results` raises, results that are
     held back are returned before the error.
     """
     rng = np.random.default_rng()  # seeded by the operating system

@@ -1,6 +1,6 @@
 """Regions of an image that contain heads and number plates, from the boxes of road users.
 
-A region is a rectangle. Its position in the box is that of heads and plates of upright people and of vehicles seen from
+A region is a rectangle. Its position in the box covers heads of upright people and plates of vehicles seen from
 the front or rear, with tolerances for oblique views and inaccurate boxes:
 
     person                 upper part of the box, over its whole width
@@ -71,7 +71,7 @@ class Regions:
 
 
 def regions_of(boxes: Boxes) -> Regions:
-    """Head and plate regions of boxes; boxes of other classes, and those that are not finite, have none."""
+    """Head and plate regions of boxes; boxes of other classes and boxes that are not finite have none."""
     boxes = boxes.select(np.flatnonzero(np.isfinite(boxes.xyxy_px).all(axis=1)))
     parts = (_heads(boxes), _heads_of_riders(boxes), _plates(boxes))
     return Regions(

@@ -249,7 +249,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _send_stream(self) -> None:
         page = self.server
         if not page.free_streams.acquire(blocking=False):
-            explain = f"All places for viewers ({page.n_viewers}) are taken; close another view, or raise --viewers."
+            explain = f"All {page.n_viewers} connections are in use; close another view, or raise --viewers."
             self.send_error(HTTPStatus.SERVICE_UNAVAILABLE, explain=explain)
             return
         try:

@@ -30,7 +30,7 @@ _ADDRESS = re.compile(r"(?:(?P<host>[^\s/]+):)?(?P<port>\d{1,5})")
 class LiveView:
     """Live page with the newest result of a run; a context manager. PageError if it cannot be served at this address.
 
-    `opens_browser`: whether to open a browser, if there is a screen; the other arguments are those of `LivePage`.
+    `opens_browser`: whether to open a browser, if there is a screen; for the other arguments see `LivePage`.
     """
 
     def __init__(self, host: str, port: int, *, opens_browser: bool = False, n_viewers: int = DEFAULT_VIEWERS) -> None:

@@ -1,4 +1,4 @@
-"""The overlay: a frame with the box, identity and distances of each track drawn on it.
+"""The overlay: a frame with the drawn box, identity and distances of each track.
 
 Boxes are solid if detected, dashed if predicted; corners inside a box mark the window of the patch matcher. Labels
 (`labels.py`) are placed near their boxes, inside the image and without overlap (`LabelPlacer`). A bird's-eye view
@@ -65,7 +65,7 @@ class Overlay:
         self._placer = labels.LabelPlacer()
 
     def draw(self, result: FrameResult) -> Image:
-        """A new (H, W, 3) uint8 BGR image: the left frame, or the recorded one, with its tracks drawn on it.
+        """A new (H, W, 3) uint8 BGR image: the left or the recorded frame with its tracks drawn.
 
         Boxes may extend beyond the image; boxes with NaN are skipped; a NaN distance is shown as "-".
         """

@@ -117,7 +117,7 @@ def closing_span(
     """Time to collision (NaN = unknown) and closing speed on a bar; None for objects that do not approach.
 
     `alarm` is the colour of the bar of a marked track, amber or red; objects that will pass by (`passes`) have no bar,
-    and their time is that until they are beside the camera.
+    and their time is the time until they are beside the camera.
     """
     if not closing_mps > CLOSING_SHOWN_MPS:
         return None
@@ -202,8 +202,9 @@ def line_height_px(line: Line) -> int:
 BESIDE = ((0, 0, 0, -1), (1, 0, -1, -1), (0, 1, 0, 0), (1, 1, -1, 0), (1, 0, 0, 0), (0, 0, -1, 0), (0, 0, 0, 0))
 AWAY = tuple((0, 0, across, -1 - up) for up in (0, 1, 2, 3, 4, -1, -2) for across in (0, 0.5, -0.5, 1, -1, 1.5, -1.5))
 PLACES = np.array(BESIDE + AWAY, np.float64).reshape(-1, 2, 2)
-"""(K, 2, 2) candidate positions of a label, best first: offset of its upper left corner from that of the box, as a
-multiple of the box size plus a multiple of the label size. First at the box and inside it, then farther away."""
+"""(K, 2, 2) candidate positions of a label, best first: offset of its upper left corner from the box's upper left
+corner, as a multiple of the box size plus a multiple of the label size. First at the box and inside it, then farther
+away."""
 
 _STEP_COST = 0.01  # cost of each step along the list of candidates, as a fraction of the label's area
 _PREVIOUS_BONUS = 0.1  # bonus for the position in the previous frame, as a fraction of the label's area

@@ -127,7 +127,9 @@ def comparison_notes(runs: Sequence[ComparedRun]) -> list[str]:
     if len({run.video for run in runs}) > 1:
         notes.append("The runs are of different videos, so their errors are not directly comparable.")
     if len({str(run.summary.get("truth")) for run in runs}) > 1:
-        notes.append("The runs were not evaluated against the same kind of ground truth, or some had none.")
+        notes.append(
+            "The runs were not evaluated against the same kind of ground truth, or some runs had no ground truth."
+        )
     if len({run.summary.get("frames") for run in runs}) > 1:
         notes.append("The runs have different numbers of frames.")
     return notes
@@ -198,9 +200,9 @@ def _compared_pair(first: ComparedRun, second: ComparedRun, has_pictures: bool) 
 
 
 def event_grids(runs: Sequence[ComparedRun]) -> list[Grid]:
-    """Events of each further run that differ from those of the first, then the number of events by kind.
+    """Events of each further run that differ from the first run, then the number of events by kind.
 
-    Runs of different videos, and those without events, are not compared; equal events have no table.
+    Runs of different videos and runs without events are not compared; equal events have no table.
     """
     grids = [_difference_grid(runs[0], other) for other in _comparable(runs)] + [_count_grid(runs)]
     return [grid for grid in grids if grid.rows]
@@ -280,7 +282,7 @@ class EventDifference:
 def event_differences(
     first: Sequence[Event], first_rows: Columns, second: Sequence[Event], second_rows: Columns
 ) -> list[EventDifference]:
-    """Events of two runs that differ, in the order of time; the rows are those of the runs, for the places."""
+    """Events of two runs that differ, in the order of time; the rows of the runs give the places."""
     first_boxes, second_boxes = _boxes_by_track(first_rows), _boxes_by_track(second_rows)
     candidates = sorted(
         (abs(a.peak_s - b.peak_s), i, j)

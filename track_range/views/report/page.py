@@ -2,7 +2,7 @@
 
 The overlay video is a separate file. All text from outside (names of files and classes, notes) is escaped, in the
 markup and in the embedded data. Script and style are embedded, and a content security policy with the checksum of the
-script blocks all others.
+script blocks all other scripts.
 """
 
 from __future__ import annotations

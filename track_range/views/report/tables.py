@@ -3,7 +3,8 @@
 A summary is the content of `summary.json`. Values without `_pct` are fractions 0..1 and are shown in per cent; MOT
 metrics are in per cent already. None, NaN or a missing key means not measured, shown as "-". A column without any value
 (such as errors of a run without ground truth) is omitted. The best value of a column is marked: the largest coverage,
-the smallest error, the bias nearest 0, and the fraction within k sigma nearest to that of a normal distribution.
+the smallest error, the bias nearest 0, and the fraction within k sigma nearest to the fraction of a normal
+distribution.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ class Column:
     cost: Cost | None = None  # function that is smallest for the best value; None = no value is marked
 
     def cells(self) -> list[Cell]:
-        """One cell per value; all values whose text equals that of the best are marked."""
+        """One cell per value; all values whose text equals the best value's are marked."""
         texts = [NOTHING if value is None else self.pattern.format(self.scale * value) for value in self.values]
         known = [value for value in self.values if value is not None]
         if self.cost is None or len(known) < 2:

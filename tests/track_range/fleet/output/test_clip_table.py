@@ -197,7 +197,7 @@ def test_status_of_a_killed_driver(out):
     publish_record(out, record("b", "failed", error="a reason"))
     FleetState(state="running", pid=2**22 + 1, total=5).write(out)
     lines = list(status_lines(out))
-    assert "without notice" in lines[0]
+    assert "unexpectedly" in lines[0]
     assert lines[1] == "1 of 5 clips done, 2.00 h of video"
     assert any("a reason" in line for line in lines)
 

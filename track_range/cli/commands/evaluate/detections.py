@@ -62,7 +62,7 @@ def _detections(options: DetectionsOptions) -> None:
 
 
 def print_figures(figures: dict[str, Any], *, measure: SizeMeasure | None = None) -> None:
-    """Print the tables and notes of an evaluation of detectors; those by size and of calibration with a `measure`."""
+    """Print the tables and notes of an evaluation of detectors; `measure` adds tables by size and of calibration."""
     details = [] if measure is None else [*size_grids(figures, measure), *calibration_grids(figures)]
     print_grid(console, accuracy_grid(figures), class_grid(figures), *details, speed_grid(figures))
     for note in figures["notes"]:

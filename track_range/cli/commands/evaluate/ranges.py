@@ -79,7 +79,8 @@ _LITERATURE: tuple[tables.ColumnSpec, ...] = (  # metrics of published evaluatio
 
 
 def _literature_grids(figures: Mapping[str, Any]) -> list[tables.Grid]:
-    """A table per class, and one over all classes, if frames, objects or distances are those of published evaluations.
+    """A table per class, and one over all classes, if frames, objects or distances are chosen as in published
+    evaluations.
 
     The JSON file always has these metrics.
     """

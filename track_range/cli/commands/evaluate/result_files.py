@@ -51,7 +51,9 @@ def _check_is_no_input(flag: str, file: Path, options: Any) -> None:
         for path in _paths(value) if name not in _OUTPUTS else ():
             if path.samefile(file) or (is_input and path.is_dir() and path.samefile(file.parent)):
                 source = _INPUT_FLAGS.get(name, f"--{name.replace('_', '-')}")
-                raise OutputError(f"{file}: expected a new file for {flag}, got that of {source}; rename it.")
+                raise OutputError(
+                    f"{file}: expected a new file for {flag}, got the file of {source}; choose another name."
+                )
 
 
 def _paths(value: object) -> Iterator[Path]:

@@ -45,7 +45,7 @@ def _fleet_run(**values: Any) -> None:
         return
     result = run_fleet(settings, options, clips, console=console)
     counts = result.counts
-    done = f"{counts.text()}; {counts.skipped} of them before, in {duration_text(result.wall_s)}"
+    done = f"{counts.text()}; {counts.skipped} were already complete; time {duration_text(result.wall_s)}"
     print_line(console, done, f"Results in {settings.out}")
     if result.failed:
         print_line(console, *(printable(f"failed: {name}: {error}") for name, error in result.failed[:_MAX_NAMED]))
@@ -53,7 +53,7 @@ def _fleet_run(**values: Any) -> None:
         n_failed = len(result.failed)
         more = f" and {n_failed - _MAX_NAMED} more, see clips.parquet" if n_failed > _MAX_NAMED else ""
         raise ClipsFailedError(
-            f"{n_failed} of {counts.total} clips failed: {named}{more}; --retry-failed repeats them."
+            f"{n_failed} of {counts.total} clips failed: {named}{more}; repeat failed clips with --retry-failed."
         )
 
 
@@ -91,11 +91,11 @@ def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Sequenc
         f"{n_failed} failed before",
     )
     if problems:
-        raise ClipsFailedError(f"{len(problems)} of {len(clips)} clips cannot be processed; see the list.")
+        raise ClipsFailedError(f"{len(problems)} of {len(clips)} clips cannot be processed; see the list above.")
 
 
 def _parameters() -> list[Parameter]:
-    """Options of the fleet and of its runs; those that are refused are hidden."""
+    """Options of the fleet and of its runs; refused options are hidden."""
     own = parameters(FleetSettings)
     names = {parameter.name for parameter in own}
     shared = [parameter for parameter in parameters(RunSettings, is_only_given=True) if parameter.name not in names]

@@ -86,7 +86,8 @@ def _calibrate_scores(options: CalibrateScoresOptions) -> None:
     after = score_fit.cross_validated(detections, truth, detector.known_class_id)
     print_grid(console, _coefficient_grid(fit, detector), _error_grid(before, after))
     validation = (
-        "Cross-validated: fitted to one half of the images, measured on the other one; the file has the fit to all."
+        "Cross-validated: fitted to one half of the images and measured on the other half; the file has the fit to "
+        "all images."
         if after
         else f"Not cross-validated: half of the images have fewer than {score_fit.MIN_POSITIVES} matches."
     )
@@ -95,7 +96,7 @@ def _calibrate_scores(options: CalibrateScoresOptions) -> None:
         [
             f"{len(truth)} images. Classes with fewer than {score_fit.MIN_POSITIVES} matches share their coefficients.",
             f"ECE of boxes with a score of {MIN_SCORE} or more: mean difference between score and precision; chance: "
-            f"that of perfect scores. {validation}",
+            f"ECE of perfectly calibrated scores. {validation}",
             *(f"{counted(len(frames.unreadable), 'image')} skipped, the first: {one}" for one in frames.unreadable[:1]),
         ],
     )

@@ -45,7 +45,7 @@ def _list(_options: ListOptions) -> None:
 
 def _pull(options: PullOptions) -> None:
     path = ready_model(options.name, console)
-    console.print(f"{path}: use it with --detector {options.name}", highlight=False, soft_wrap=True)
+    console.print(f"{path}: use this model with --detector {options.name}", highlight=False, soft_wrap=True)
 
 
 def _import(options: ImportOptions) -> None:

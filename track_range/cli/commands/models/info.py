@@ -114,7 +114,11 @@ def _rows(detector: YoloDetector) -> Iterator[tuple[str, str, str]]:
     yield "layout", f"{model.name}: {model.layout}", detector.why
     others = [reading.name for reading in detector.readings if reading.name != model.name]
     if others:
-        yield "other layouts of these shapes", ", ".join(others), "--layout; --image compares their boxes"
+        yield (
+            "other layouts of these shapes",
+            ", ".join(others),
+            "--layout chooses; --image compares their boxes",
+        )
     if model.note:
         yield "ignored", model.note, ""
     shape = ", ".join("any" if side is None else str(side) for side in session.input_shape)

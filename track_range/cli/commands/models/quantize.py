@@ -39,7 +39,8 @@ N_COMPARED = 100  # maximum number of images on which copies are compared with t
 
 @dataclass(slots=True)
 class _OriginalsBoxes:
-    """Images without labels: boxes of the original are the ground truth, so that AP measures agreement with it."""
+    """Images without labels: boxes of the original are the ground truth, so that AP measures agreement with the
+    original."""
 
     original: YoloDetector
     paths: Sequence[Path]
@@ -95,7 +96,7 @@ class QuantizeOptions(Options):
 
 
 def _quantize(options: QuantizeOptions) -> None:
-    """Calibrate on at most half of the images, drawn with a fixed seed; accuracy is measured on the others."""
+    """Calibrate on at most half of the images, drawn with a fixed seed; accuracy is measured on the other images."""
     images, out = options.images, options.out
     detector = replace(DetectorOptions.of(options), device="cpu")
     source = None if options.labels is None else LabelledSource.of(options)

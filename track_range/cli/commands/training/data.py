@@ -22,7 +22,8 @@ _N_PER_HEAD = 3  # number of anchors of each head, in all networks
 
 
 def print_anchors(options: AnchorOptions) -> None:
-    """Print k-means++ anchors of the training boxes of a data set, their mean best IoU, and that of the defaults."""
+    """Print k-means++ anchors of the training boxes of a data set, their mean best IoU, and the mean best IoU of the
+    defaults."""
     size_px, n_anchors = options.size_px, options.clusters
     data = read_data_yaml(options.data)
     print_line(console, *data.notes)
@@ -45,7 +46,7 @@ def print_anchors(options: AnchorOptions) -> None:
 
 
 def read_images(items: Sequence[LabelledImage], data: TrainingData, *, max_side_px: int | None) -> CachedImages:
-    """Images of a data set; those that cannot be read are listed and skipped, ImageFileError if these are all."""
+    """Images of a data set; unreadable images are listed and skipped, ImageFileError if all are unreadable."""
     with step_progress(console, "reading images") as progress:
         images = CachedImages(items, data.road_class_id, max_side_px=max_side_px, progress=progress)
     print_first(console, f"{len(images.unreadable)} images cannot be read and are skipped:", images.unreadable)

@@ -52,7 +52,7 @@ class TrainOptions(Options):
     data: _Data
     model: Annotated[
         Literal["road", "yolov5n", "yolov5s", "yolov4-tiny"],
-        option("Network to train; road = that of the packaged detector.", panel=_DATA),
+        option("Network to train; road = the network of the packaged detector.", panel=_DATA),
     ] = "yolov5n"
     size_px: _Size = 416
     n_epochs: Annotated[int, option("Number of epochs.", flag="--epochs", panel=_TRAINING, ge=1)] = 100
@@ -95,8 +95,8 @@ class TrainOptions(Options):
     weights: Annotated[
         tuple[Path, ...],
         option(
-            "Checkpoint of another run that provides the initial weights; anchors are not taken from it. RoadNet also "
-            "starts from the backbone and neck of a YOLOv5n. Repeat the option for the mean of several checkpoints of "
+            "Checkpoint of another run that provides the initial weights; its anchors are not used. RoadNet can also "
+            "start from the backbone and neck of a YOLOv5n. Repeat the option for the mean of several checkpoints of "
             "one run.",
             metavar="best.pt",
             is_repeated=True,

@@ -52,7 +52,9 @@ def _pseudo_label(options: PseudoLabelOptions) -> None:
         except KeyboardInterrupt:
             raise TrainingError(f"stopped by the user; continue the run in {options.out} with --resume.") from None
         shutil.rmtree(stored, ignore_errors=True)
-    print_first(console, f"{counted(len(unreadable), 'image')} cannot be read, left out:", list(unreadable.values()))
+    print_first(
+        console, f"{counted(len(unreadable), 'image')} cannot be read and are left out:", list(unreadable.values())
+    )
     _print_outcome(outcome, members)
     folder, root = real_path(options.out), real_path(data.root)
     print_line(
@@ -65,7 +67,7 @@ def _pseudo_label(options: PseudoLabelOptions) -> None:
 
 
 def _check_folder(options: PseudoLabelOptions, data: OwnLabels) -> None:
-    """OutputError if the output folder has other files than those of a run of `data` that is to be resumed."""
+    """OutputError unless the output folder is empty, or has only files of a run of `data` to resume."""
     if options.out.exists() and not options.out.is_dir():
         raise OutputError(f"{options.out}: expected a folder, found a file; choose another --out.")
     is_started = (options.out / data_set.DETECTIONS).is_dir()
@@ -79,11 +81,11 @@ def _check_folder(options: PseudoLabelOptions, data: OwnLabels) -> None:
     names = {item.path.stem for item in data.train}
     if is_started and (others := sorted(file.name for file in options.out.glob("*.txt") if file.stem not in names)):
         raise OutputError(
-            f"{options.out}: expected labels of the training images in {options.data}, found {len(others)} of other "
-            f"images, such as {others[0]}; delete these files to continue."
+            f"{options.out}: expected labels of the training images in {options.data}, found {len(others)} labels of "
+            f"other images, such as {others[0]}; delete these files to continue."
         )
     if not is_started and options.out.is_dir() and any(options.out.glob("*.txt")):
-        raise OutputError(f"{options.out}: expected a folder without labels, found some; choose another --out.")
+        raise OutputError(f"{options.out}: expected a folder without labels, found labels; choose another --out.")
 
 
 def _print_plan(data: OwnLabels, members: list[EnsembleMember]) -> None:
@@ -97,12 +99,14 @@ def _print_plan(data: OwnLabels, members: list[EnsembleMember]) -> None:
     notes = [note for member in members for note in member.notes]
     if all(item.truth.is_complete[data.is_named].all() for item in data.train):
         notes.append(
-            "All classes are completely labelled in all training images, so that only boxes to ignore are written; a "
-            "manifest lists the classes that are not."
+            "All classes are completely labelled in all training images, so only boxes to ignore are written; list "
+            "classes that are not completely labelled in a manifest."
         )
     train = {real_path(item.path) for item in data.train}
     if any(real_path(item.path) in train for item in data.val):
-        notes.append("Validation images are training images too: the table of the calibration is no independent test.")
+        notes.append(
+            "Validation images are also training images, so the table of the calibration is no independent test."
+        )
     print_notes(console, notes)
 
 
@@ -112,7 +116,8 @@ def _print_outcome(outcome: data_set.PseudoLabelFigures, members: list[EnsembleM
     if others:
         print_line(
             console,
-            f"Fewer than {MIN_POSITIVES} matches, calibrated as the mean of the other classes: {', '.join(others)}.",
+            f"Classes with fewer than {MIN_POSITIVES} matches are calibrated as the mean of the other classes: "
+            f"{', '.join(others)}.",
         )
     if outcome.validation:
         print_grid(console, _validation_grid(outcome.validation))

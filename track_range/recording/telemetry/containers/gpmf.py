@@ -157,7 +157,7 @@ def _scaled(values: FloatArray, scale: FloatArray) -> FloatArray:
 
 
 def _utc_s(text: str) -> float:
-    """Seconds since 1970 of a GPSU such as "170417173103.000"; NaN = it is none."""
+    """Seconds since 1970 of a GPSU such as "170417173103.000"; NaN = invalid."""
     match = re.fullmatch(r"(\d\d)(\d\d)(\d\d)(\d\d)(\d\d)(\d\d(?:\.\d*)?)", text.strip("\0 "))
     return date_s(*(float(part) for part in match.groups())) if match else math.nan
 

@@ -254,7 +254,7 @@ def _runs(rows: npt.NDArray[np.integer], n: int) -> FloatArray:
 
 
 def _edit_shift_s(edits: bytes, media_scale: int, movie_scale: int) -> float:
-    """Seconds from the time axis of a track to that of the movie, from its edit list; 0 = there is none."""
+    """Seconds from the time axis of a track to the movie's, from its edit list; 0 without an edit list."""
     row = struct.Struct(">Qqi" if edits[:1] == b"\x01" else ">Iii")
     delay = 0
     for start in range(8, min(len(edits), 8 + 16 * row.size) - row.size + 1, row.size):

@@ -1,6 +1,6 @@
 """Boxes `freeGPS ` of a movie: found through the index `gps `, as boxes of the file, or between the samples.
 
-The times are those of the video at the same offset in the file, or one second per box.
+The times are the video's at the same offset in the file, or one second per box.
 """
 
 from __future__ import annotations

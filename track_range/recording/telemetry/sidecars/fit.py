@@ -29,7 +29,7 @@ def read_fit(path: Path) -> TelemetryTrack | None:
                     break
     except Exception as error:  # fitdecode's errors, and those of damaged fields
         if not samples:
-            raise TelemetryError(f"{path}: expected a FIT file, found another or a damaged one.") from error
+            raise TelemetryError(f"{path}: expected a FIT file, found another format or a damaged file.") from error
     return track(samples, path.name, "utc", has_own_speed=any(math.isfinite(s.speed_mps) for s in samples))
 
 

@@ -26,8 +26,9 @@ _EXPECTED = "a GPX file"
 def read_gpx(path: Path) -> TelemetryTrack:
     """Telemetry of the track points of a GPX file, or of its route or way points if it has no track.
 
-    Speeds are those of the file (GPX 1.0 `speed`, Garmin's TrackPointExtension and others, in m/s), or from positions.
-    Raises TelemetryError if it cannot be read, is unsafe XML or has no points with times, or gpxpy is not installed.
+    Speeds are read from the file (GPX 1.0 `speed`, Garmin's TrackPointExtension and others, in m/s) or computed from
+    positions. Raises TelemetryError if it cannot be read, is unsafe XML or has no points with times, or gpxpy is not
+    installed.
     """
     text = read_text(path, TelemetryError, _EXPECTED, max_bytes=_MAX_BYTES)
     if text.count("xmlns") > _MAX_NAMESPACES:
@@ -37,7 +38,7 @@ def read_gpx(path: Path) -> TelemetryTrack:
     try:
         gpx = gpxpy.parse(text)
     except (ValueError, KeyError, TypeError, AttributeError, gpxpy.gpx.GPXException) as error:
-        raise TelemetryError(f"{path}: expected {_EXPECTED}, found one with invalid points or times.") from error
+        raise TelemetryError(f"{path}: expected {_EXPECTED}, found a file with invalid points or times.") from error
     tracked = [point for track in gpx.tracks for segment in track.segments for point in segment.points]
     points = tracked or [point for route in gpx.routes for point in route.points] or gpx.waypoints
     samples = [_sample(point) for point in points if point.time is not None]

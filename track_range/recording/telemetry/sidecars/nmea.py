@@ -50,7 +50,7 @@ def read_nmea(path: Path) -> TelemetryTrack | None:
 def _without_rmc(lines: Iterable[str], path: Path) -> TelemetryTrack | None:
     """Telemetry of the sentences GGA, VTG and ZDA of a file; None = it has no GGA.
 
-    Times are those of the day where no ZDA states the date.
+    Times are times of the day if no ZDA states the date.
     """
     sentences = [match for line in lines if (match := _OTHERS.search(line)) is not None]
     if not any(match[1] == "GGA" for match in sentences):

@@ -2,8 +2,8 @@
 
     seconds,A|V,latitude,longitude,course in 0.01 deg,speed in 0.01 m/s,gx,gy,gz,VIDEO.MP4,0,0,0
 
-The seconds are since 1970, of a clock whose time zone is unknown and which differs from that of the videos' names. The
-rows of one video follow those of the one before it, which gives the start of the video to about a second.
+The seconds are since 1970, of a clock whose time zone is unknown and which differs from the clock of the videos' names.
+The rows of a video follow the rows of the previous video, which gives the start of the video to about a second.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""CSV files with speeds or positions: those of loggers, of extraction tools, and of apps.
+"""CSV files with speeds or positions: of loggers, extraction tools and apps.
 
-The columns are found by their names. Components of the velocity are combined. Of several speeds, and of several units,
-the one that the positions in the file show is used; without positions, a speed needs a unit in its heading
-(`speed_kmh`, `Speed (m/s)`, `speed [kn]`), and the car's own instruments come before its GPS receiver.
+The columns are found by their names. Components of the velocity are combined. Among several speeds or units, the one
+that agrees with the positions in the file is used; without positions, a speed needs a unit in its heading (`speed_kmh`,
+`Speed (m/s)`, `speed [kn]`), and the car's own instruments come before its GPS receiver.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def read_csv(path: Path) -> TelemetryTrack | None:
         if positions is not None:
             return positions
         components = " and ".join(repr(name) for name in _components(table))
-        present = f"only the component {components} of the velocity; add the other ones" if components else "fewer"
+        present = f"only the component {components} of the velocity; add the others" if components else "fewer"
         raise TelemetryError(f"{path}: expected speeds, or at least two positions, found {shortened(present, 120)}.")
     chosen, unit, note = _chosen(path, speeds, positions, time_s)
     course = _columns(table, _COURSE)
@@ -115,7 +115,7 @@ def read_csv(path: Path) -> TelemetryTrack | None:
 def _chosen(
     path: Path, speeds: Sequence[_Speeds], positions: TelemetryTrack | None, time_s: FloatArray
 ) -> tuple[_Speeds, str, str]:
-    """The speeds to use, their unit, and a note that names both; raises TelemetryError where they are not known."""
+    """The speeds to use, their unit, and a note that names both; raises TelemetryError if they are unknown."""
     shown: dict[str, str] = {}  # units that the positions show
     for column in speeds:
         ratio = speed_ratio(positions, time_s, column.values, _MIN_MOVING)
@@ -137,7 +137,7 @@ def _chosen(
         if rivals:
             raise TelemetryError(
                 f"{path}: expected one speed of the car, found {shortened(repr(column.name))} and "
-                f"{shortened(repr(rivals[0].name))}, which differ; remove one, or rename the right one to "
+                f"{shortened(repr(rivals[0].name))}, which differ; remove one, or rename the right column to "
                 f"ego_speed_{'mps' if unit == 'm/s' else 'kmh'}."
             )
     else:
@@ -190,7 +190,7 @@ def _components(table: CsvTable) -> dict[str, tuple[str, str]]:
 
 
 def _numbers(table: CsvTable, name: str) -> FloatArray:
-    """(N,) numbers of a column of speeds; NaN for those that are none in any unit."""
+    """(N,) numbers of a column of speeds; NaN for numbers that are not a speed in any unit."""
     values = table.numbers(name)
     return np.where(np.abs(values) < _MAX_VALUE, values, np.nan)
 
@@ -216,7 +216,7 @@ def _wide(table: CsvTable) -> CsvTable:
 
 
 def _columns(table: CsvTable, name: re.Pattern[str], excluded: re.Pattern[str] | None = None) -> list[str]:
-    """Headings that match; those of repeated columns only once."""
+    """Headings that match; headings of repeated columns appear only once."""
     return [
         heading
         for heading in dict.fromkeys(table.header)

@@ -77,7 +77,7 @@ def unwrapped(time_s: FloatArray) -> FloatArray:
 
 
 def _moment(text: str, notation: str | None) -> datetime | None:
-    """The moment that a text states in a notation, None = ISO 8601; None = it is none."""
+    """The moment that a text states in a notation, None = ISO 8601; returns None for other texts."""
     try:
         if notation is None:
             return datetime.fromisoformat(text[:40].replace("/", "-"))

@@ -23,7 +23,7 @@ _CREATED = re.compile(r"created on (\d{1,2})/(\d{1,2})/(\d{4})", re.IGNORECASE)
 
 
 def read_vbo(path: Path) -> TelemetryTrack | None:
-    """Telemetry of a VBO file; None = it is none. Raises TelemetryError if it cannot be read."""
+    """Telemetry of a VBO file; None for other files. Raises TelemetryError if it cannot be read."""
     parts = _SECTION.split(read_text(path, TelemetryError, "a VBO file", max_bytes=MAX_SIDECAR_BYTES))
     sections = dict(zip((name.lower() for name in parts[1::2]), parts[2::2], strict=True))
     names = sections.get("column names", "").lower().split()
@@ -50,7 +50,7 @@ def read_vbo(path: Path) -> TelemetryTrack | None:
 
 
 def _clock_s(text: str) -> float:
-    """Seconds since midnight of HHMMSS.SS; NaN = it is none."""
+    """Seconds since midnight of HHMMSS.SS; NaN for other texts."""
     value = number(text)
     if not 0 <= value < 240_000:
         return math.nan

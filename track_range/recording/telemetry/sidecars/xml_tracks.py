@@ -67,7 +67,7 @@ def _local(name: str) -> str:
 def read_xml_track(path: Path) -> TelemetryTrack | None:
     """Telemetry of the points with times of a TCX or KML file; None = it has none. Raises TelemetryError if unreadable.
 
-    Speeds are those of TCX's extension TPX in m/s, or from positions.
+    Speeds are read from TCX's extension TPX in m/s, or computed from positions.
     """
     points = _Points()
     with open_regular(path, TelemetryError, _EXPECTED) as file:

@@ -111,7 +111,7 @@ class FoxgloveProfile:
         ).encode()
 
     def _scene(self, objects: Sequence[scene.TrackObject], time: Timestamp) -> bytes:
-        """The cuboids of the ranged tracks; those of other tracks that were shown before are deleted."""
+        """The cuboids of the ranged tracks; cuboids of other tracks that were shown before are deleted."""
         ranged = [shown for shown in objects if shown.is_ranged]
         gone = self._shown - {shown.track_id for shown in ranged}
         self._shown = {shown.track_id for shown in ranged}

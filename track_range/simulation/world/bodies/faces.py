@@ -37,7 +37,7 @@ MARGIN_TEXELS = 4  # strip of the body around a plate, on its face, which closes
 
 
 class IdentifyingPart(IntEnum):
-    """Part of a road user by which a person can be identified; the values are those of the masks."""
+    """Part of a road user by which a person can be identified; the values are used in the masks."""
 
     NONE = 0
     HEAD = 1
@@ -191,7 +191,7 @@ def _trapezium(
 
 
 def chosen(rng: np.random.Generator, colours: Sequence[Colour]) -> Colour:
-    """A random one of several colours."""
+    """A random colour of several."""
     return colours[int(rng.integers(len(colours)))]
 
 

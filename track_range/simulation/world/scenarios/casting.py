@@ -61,7 +61,8 @@ def lane(
 def oncoming(
     rng: np.random.Generator, *, speed_mps: float, until_m: float, seconds: float, **others: Any
 ) -> list[RoadUser]:
-    """The oncoming traffic of one lane that is nearer than `until_m` within `seconds`; `others` are those of `lane`."""
+    """The oncoming traffic of one lane that is nearer than `until_m` within `seconds`; `others` are arguments of
+    `lane`."""
     until_m += speed_mps * seconds
     return lane(rng, speed_mps=speed_mps, from_m=30.0, until_m=until_m, heading_rad=TOWARDS_RAD, **others)
 
@@ -129,7 +130,7 @@ def scene_of(
     """The scene of a scenario, with an ego car that wobbles on its springs.
 
     The road users have no ids yet, and their sizes vary around the given ones. `surroundings` is a key of
-    `SURROUNDINGS`; `road` may be the lateral and vertical amplitude in m of a random one, which has 70 to 100 % of it.
+    `SURROUNDINGS`; `road` may be the lateral and vertical amplitude in m of a random road, which has 70 to 100 % of it.
     """
     road = road if isinstance(road, RoadShape) else _random_road(rng, *road, 1.6 if surroundings == "highway" else 1.0)
     sized = []

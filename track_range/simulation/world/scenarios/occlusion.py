@@ -42,7 +42,7 @@ FREE_M = 0.35  # smallest distance between the bodies of two objects on the grou
 
 USERS = (("Car", 0.5), ("Van", 0.12), ("Truck", 0.08), ("Pedestrian", 0.17), ("Cyclist", 0.13))
 OCCLUDERS = (("none", 0.13), ("pole", 0.24), ("sign", 0.17), ("fence", 0.2), ("bush", 0.1), ("vehicle", 0.16))
-"""Types of the occluders, as those of the road users (`USERS`), with their fractions."""
+"""Types of the occluders, as for the road users (`USERS`), with their fractions."""
 
 LEAD_FRACTION = 0.6  # fraction of drives with a vehicle ahead that hides another one
 Disc = tuple[float, float, float]  # x, z and radius of a circle on the ground, m
