@@ -96,9 +96,9 @@ class Ranger(ABC):
     def measure_at_scale(
         self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges], scale: DriveScale
     ) -> Measured:
-        """As `measure_with`, given the scale of the drive before this frame; also returns the evidence of the frame.
+        """See `measure_with`; given the scale of the drive before this frame, also returns the evidence of the frame.
 
-        For methods that measure by size, and those that measure the scale.
+        It is for methods that measure by size or measure the scale.
         """
         return Measured(self.measure_with(tracks, frame, others))
 
@@ -191,11 +191,11 @@ class RangingMethod:
         colour: "#rrggbb" in charts and in the overlay.
         create: creates the method's `Ranger` for a run, or returns None if the run does not support the method.
         needs: required inputs; `create` is called only if the run has all of them.
-        reads: methods with ranges that this one uses if they are available; they measure a frame first. Names of
+        reads: methods whose ranges this method uses if they are available; they measure a frame first. Names of
             methods that are not installed are ignored.
         error_sources: the contributions to its variance; their fractions sum to 1.
         fallback_for: name of a method that supersedes this one: fusion uses this method only for tracks that the other
-            one has not measured, since it shares nearly all of the other's errors or is calibrated by it.
+        method has not measured, since it shares nearly all errors of the other method or is calibrated by it.
         is_scale_reference: whether fusion takes the scale of this method as correct: its systematic error is part of
             the covariance, but is not estimated from differences to other methods.
         measures_distance: False for a method that gives details or growths only; it has no error sources.
@@ -249,7 +249,7 @@ class RangingMethod:
 
     @property
     def uses_size_model(self) -> bool:
-        """Whether object size is one of its error sources; `evaluate ranges` then refits the size model for it."""
+        """Whether the method has object size as an error source; `evaluate ranges` then refits its size model."""
         return any(source.name == "size" for source in self.error_sources)
 
     @property

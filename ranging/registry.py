@@ -30,7 +30,7 @@ METHODS: Registry[RangingMethod] = Registry(  # built-in ones in the order of co
 
 
 def methods() -> tuple[RangingMethod, ...]:
-    """All ranging methods: built-in ones, those of entry points sorted by name, then registered ones in their order."""
+    """All ranging methods: built-in, then from entry points sorted by name, then registered, in their order."""
     return (*_installed()[0], *METHODS.registered.values())
 
 
@@ -46,7 +46,7 @@ def register(method: RangingMethod) -> None:
 
 
 def in_measuring_order(listed: Sequence[RangingMethod]) -> tuple[RangingMethod, ...]:
-    """The methods in a stable topological order, each after those of the list that it reads; MethodError on a cycle."""
+    """The methods in a stable topological order, each after the methods that it reads; MethodError on a cycle."""
     pending, ordered = list(listed), list[RangingMethod]()
     while pending:
         names = {method.name for method in pending}

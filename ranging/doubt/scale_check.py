@@ -12,12 +12,12 @@ height over the expected one, f of the focal length and u of the given speed.
     log focal length - that by the shapes of vehicles' boxes         = f
     log of an impossible speed by stereo odometry over the largest   < g + f
 
-Every unknown has a prior: a that of the region, h a usual or the given height, g, f and u the precision of calibrations
-and receivers. Because they are estimated together, a scale learnt from one of them cannot correct another in circles.
-One hypothesis is that all priors hold; in each of the others one unknown is a mistake and has no prior. Something is in
-doubt if such a hypothesis fits better by `_DOUBTFUL`, the 3 sigma of one free parameter; all that fit nearly as well
-are named, weighed by how common such a mistake is (`prior_cost`). A usual height and a usual lane have heavy tails, and
-alone exclude nothing: there are lorries and robots.
+Every unknown has a prior: a the deviation of the region, h a usual or the given height, g, f and u the precision of
+calibrations and receivers. Because all unknowns are estimated together, a scale learnt from one of them cannot correct
+another in circles. One hypothesis is that all priors hold; in each other hypothesis, one unknown is a mistake and has
+no prior. The scale is in doubt if such a hypothesis fits better by `_DOUBTFUL`, the 3 sigma of one free parameter; all
+hypotheses that fit nearly as well are named, weighed by how common such a mistake is (`prior_cost`). A usual height and
+a usual lane have heavy tails, and alone exclude nothing: there are lorries and robots.
 """
 
 import itertools

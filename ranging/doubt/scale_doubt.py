@@ -28,7 +28,7 @@ class ScaleDoubt(NamedTuple):
     evidence: str  # what shows it
 
     def sigma_of(self, causes: Set[Cause]) -> float:
-        """Relative standard deviation of distances that cover both scales, if one of these causes changes them."""
+        """Relative standard deviation that covers both scales, for distances that one of these causes changes."""
         factors = [factor for cause, factor in self.causes if cause in causes]
         return max((abs(1.0 - 1.0 / factor) + self.sigma / factor for factor in factors), default=0.0)
 

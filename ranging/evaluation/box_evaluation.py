@@ -1,7 +1,8 @@
 """Errors of box-only methods on labelled boxes, per class and distance band, with cross-validation over sequences.
 
-Errors are relative. The metrics of a class cover 10-100 m, those of far objects 30-100 m, bands 5-100 m. Fitted methods
-are cross-validated: each fold of sequences is measured by a method that was fitted to the other sequences.
+Errors are relative. The metrics of a class cover 10-100 m, the metrics of far objects 30-100 m, and the bands 5-100 m.
+Fitted methods are cross-validated: each fold of sequences is measured by a method that was fitted to the other
+sequences.
 
 Metrics of published evaluations (Eigen, Puhrsch and Fergus, NIPS 2014):
 

@@ -102,7 +102,7 @@ def ranger_columns(
 
     With a size model, methods get the labels' classes instead of a detector's. `measured` are columns of methods
     measured before, which the listed ones may read. MethodError: a ranger of another package returned no ranges, or
-    those of other tracks.
+    ranges of other tracks.
     """
     columns = {method.name: np.full((3, len(boxes)), np.nan) for method in listed}
     reads = {method.name: method.reads for method in listed}
@@ -197,7 +197,7 @@ def size_fitter(method: RangingMethod, options: MethodOptions) -> box_evaluation
 def as_frames(boxes: BoxSet, class_id: IntArray) -> Iterator[tuple[IntArray, Tracks, Frame, bool]]:
     """Row indices, tracks, blank image of the right size, and whether it is the first of a sequence, for each frame.
 
-    Labels without identities are those of separate images, each with a sequence to itself.
+    Labels without identities belong to separate images, each of which is a sequence.
     """
     sequence = -1
     for rows in box_evaluation.frame_rows(boxes):

@@ -99,7 +99,7 @@ def evaluate_ranges(settings: RangeEvaluationSettings) -> dict[str, Any]:
 
 
 def _boxes(settings: RangeEvaluationSettings, frames: Path | None, *, is_exact: bool = False) -> BoxSet:
-    """Boxes of the listed frames, all if None: those of the settings, or the labelled ones if `is_exact`."""
+    """Boxes of the listed frames (None = all): the boxes of the settings, or labelled boxes if `is_exact`."""
     selection = BoxSelection(
         frames=frames, has_all_objects=settings.objects == "all", reference=settings.truth, velodyne=settings.velodyne
     )
@@ -116,7 +116,7 @@ def _boxes(settings: RangeEvaluationSettings, frames: Path | None, *, is_exact: 
 def centre_offset_m(class_name: npt.NDArray[np.str_], xyxy_px: FloatArray) -> FloatArray:
     """(N,) depth of the centre of objects behind their visible surface, by class and aspect ratio of their boxes.
 
-    Half the typical length of the class for boxes of a rear view, and half the width for those of a side view.
+    Half the typical length of the class for boxes of a rear view, half the width for boxes of a side view.
     """
     aspect = (xyxy_px[:, 2] - xyxy_px[:, 0]) / np.maximum(xyxy_px[:, 3] - xyxy_px[:, 1], 1.0)
     wide = np.clip((aspect - _NARROW) / (_WIDE - _NARROW), 0.0, 1.0)

@@ -52,7 +52,7 @@ def surface_distance_m(
 
 
 def _in_box_axes(vectors: FloatArray, rotation_y_rad: FloatArray) -> FloatArray:
-    """(N, 3) vectors rotated from the camera's axes to those of each box, by -rotation_y about y."""
+    """(N, 3) vectors rotated from the camera's axes to the axes of each box, by -rotation_y about y."""
     cos, sin = np.cos(rotation_y_rad), np.sin(rotation_y_rad)
     x, y, z = vectors.T
     return np.stack([cos * x - sin * z, y, sin * x + cos * z], axis=1)
@@ -66,7 +66,7 @@ def centre_distance_m(labels: KittiLabels, left_from_reference_m: FloatArray) ->
 def lidar_distance_m(labels: KittiLabels, points_m: FloatArray, left_from_reference_m: FloatArray) -> FloatArray:
     """(N,) depth of the (0.1 n)-th nearest of the n lidar points in each 3-D box of an image; NaN = no point.
 
-    `points_m` (M, 3) are in the frame of the reference camera, the result is in that of the left camera.
+    `points_m` (M, 3) are in the frame of the reference camera, the result is in the frame of the left camera.
     """
     distance_m = np.full(len(labels), np.nan)
     for row in np.flatnonzero(labels.has_3d_box).tolist():

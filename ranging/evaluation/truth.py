@@ -2,8 +2,8 @@
 
 The distance is the z at which the ray through the label's box centre first meets the object, in the left camera's
 frame. A CSV file (`video_labels/csv_labels.py`) contains it, with the closing speed. KITTI's labels have 3-D boxes
-in the frame of the rig's reference camera, which are shifted into that of the left camera; people and riders do not
-fill their boxes. COCO, CVAT and YOLO labels are used as they are; they may have distances, as attributes.
+in the frame of the rig's reference camera, which are shifted into the frame of the left camera; people and riders do
+not fill their boxes. COCO, CVAT and YOLO labels are used as they are; they may have distances, as attributes.
 """
 
 from __future__ import annotations
@@ -74,9 +74,9 @@ class Truth:
 def read_truth(path: Path, camera: PinholeCamera, left_from_reference_m: FloatArray) -> Truth:
     """Ground truth for the left `camera` (undistorted) from a file of labels in any format, or a folder of YOLO labels.
 
-    `left_from_reference_m` (3,) is the shift from the frame of KITTI's reference camera to that of the left one. Raises
-    LabelFileError if the file cannot be read, or has no identities, or no distances (KITTI: no 3-D boxes), which are
-    optional for COCO, CVAT and YOLO.
+    `left_from_reference_m` (3,) is the shift from the frame of KITTI's reference camera to the left camera's frame.
+    Raises LabelFileError if the file cannot be read, or has no identities, or no distances (KITTI: no 3-D boxes), which
+    are optional for COCO, CVAT and YOLO.
     """
     if os.path.isdir(path) or label_format_of(path, "ground truth").is_general:
         return _of_table(path, camera)

@@ -8,24 +8,24 @@ from the frames' timestamps. The innovation and its noise are converted to metre
 logarithm because the noise is in the box size in px: in metres, too large distances would also have too large sigmas,
 and short distances too much weight. If the ego speed V is known, the target's own speed v + V is taken as constant,
 with dV the change of V over the step: d' = d + v dt - dV dt / 2, v' = v - dV. The error of V, with standard deviation
-sigma_V, decays over tau: dV has the variance 2 sigma_V^2 (1 - exp(-dt / tau)), which is added as that of dV is to the
-state; 0 while V does not change, as its error does not change either. In turns, V is the speed V - w b d with which
-static objects at the bearing b come nearer. A new track starts as a static target, v = -V.
+sigma_V, decays over tau: dV has the variance 2 sigma_V^2 (1 - exp(-dt / tau)), which is added to the state with the
+variance of dV. It is 0 while V does not change, since its error does not change either. In turns, V is the speed V - w
+b d with which static objects at the bearing b come nearer. A new track starts as a static target, v = -V.
 
 A filter runs for each of several models of the motion, static or with another q, and the results are their mean
 (`motion_models`). The closing speed of a static object is V, whatever its size.
 
 The sigma of a method has an independent part, new in every frame (box jitter, matching noise), and a systematic part,
-constant over a track (the car is larger than average). Only the independent part averages out: it alone is R, scaled by
-lambda, which is estimated from the innovations of the method (`NoiseScale`). The systematic part is added to the
-filter's variance at the output, and changes with the distance: P_dd grows by kappa (k d)^2 |v| dt / d, where k is its
-relative standard deviation. It is common to distance and speed, so the time to collision d / -v does not contain
+constant over a track (the car is larger than average). Only the independent part averages out, so R is this part alone,
+scaled by lambda, which is estimated from the innovations of the method (`NoiseScale`). The systematic part is added to
+the filter's variance at the output, and changes with the distance: P_dd grows by kappa (k d)^2 |v| dt / d, where k is
+its relative standard deviation. It is common to distance and speed, so the time to collision d / -v does not contain
 it. When the condition of a measurement changes (a method joins or leaves the fusion, a nearer box begins or ceases to
-hide a side of the box), so does its systematic error: the variances of the old and the new one are added to that of d,
-so that the step does not appear as speed. A measurement beyond 3 sigma is down-weighted (Huber); after three in a row
-the filter restarts.
+hide a side of the box), so does its systematic error: the variances of the old and the new error are added to the
+variance of d, so that the step does not appear as speed. A measurement beyond 3 sigma is down-weighted (Huber); after
+three in a row the filter restarts.
 
-Where the image border cuts a box, the prediction is that of the object's far end (`cut_boxes`). The growth of objects
+Where the image border cuts a box, the object's far end is predicted (`cut_boxes`). The growth of objects
 in the images is a further measurement (`key_distance`).
 """
 
@@ -52,7 +52,7 @@ _EGO_CORRELATION_S = 1.0  # tau, over which errors of the ego speed are correlat
 _DRIFT = 0.2  # kappa, growth of the systematic variance per change of log distance; chosen on 13 of KITTI's sequences
 _GROWTH_EVIDENCE = 1.0  # exponent of the likelihoods of growths, whose sigma is true
 _LONG_DRIFT_HZ, _IS_LONG = 0.15, np.array([name in ("truck", "bus") for name in ROAD_CLASSES])
-"""Growth per second of that of long vehicles, whose visible sides change in turns."""
+"""Growth per second of the variance for long vehicles, whose visible sides change in turns."""
 
 _MAX_DRIFTING = 0.08  # largest relative sigma that drifts: that of shapes; more is an unknown scale, which is constant
 

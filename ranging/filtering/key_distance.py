@@ -1,6 +1,7 @@
 r"""KeyDistance: growth of objects in the images since a key frame, as a measurement of the filters of distances.
 
-The ratio of an object's size now and in its key frame is that of its distances, without a focal length or a size:
+The ratio of an object's size now and in its key frame gives the ratio of its distances, without a focal length or a
+size:
 
     log s = log r - log d      r: distance in the key frame, H = [-1/d 0 1/r] for the state [d v r]'
 
@@ -19,7 +20,7 @@ from track_range.foundation.constant_velocity import ConstantVelocity
 
 
 class Growth(NamedTuple):
-    """Sizes of N tracks in the image relative to those in their key frames, (N,) each."""
+    """Sizes of N tracks in the image relative to the sizes in their key frames, (N,) each."""
 
     log_ratio: FloatArray  # log(size now / size in the key frame); NaN = not measured
     sigma: FloatArray  # its standard deviation
@@ -39,7 +40,7 @@ class KeyDistance(NamedTuple):
         return self._replace(P_dr=self.P_dr + dt * self.P_vr)
 
     def stepped(self, d: FloatArray, variance: FloatArray) -> KeyDistance:
-        """The state after a relative step of both distances, which adds `variance` to that of d."""
+        """The state after a relative step of both distances, which adds `variance` to the variance of d."""
         c = np.fmax(self.r / d, 0.0)  # 0 without a key frame
         return self._replace(P_dr=self.P_dr + c * variance, P_rr=self.P_rr + c * c * variance)
 

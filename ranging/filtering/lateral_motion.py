@@ -6,8 +6,8 @@ r"""LateralMotion: lateral position and speed of tracks relative to the camera, 
       / x              so that a static object has u = 0 in a bend, too. Without w, u is the rate of x.
      []
 
-The measurement is the middle of the box's left and right edges, each at its depth: the near one at the distance d, the
-inner one of an object beside the axis at up to d + L, since the box of a parked car ends at its far corner:
+The measurement is the middle of the box's left and right edges, each at its depth: the near edge at the distance d, the
+inner edge of an object beside the axis at up to d + L, since the box of a parked car ends at its far corner:
 
     x_inner = b (d + L)      b: bearing of the inner edge (x / z), L: length of the class, at most so far that the
                              object keeps the smallest width of its class

@@ -6,8 +6,8 @@
     w_g' ~ (T w)_g N(nu_g; 0, S_g)^a                            T: switching towards the prior of the class
     x = sum w_g x_g     P = sum w_g (P_g + (x_g - x) (x_g - x)')
 
-(Magill, Optimal adaptive estimation, 1965; Blom and Bar-Shalom, 1988, without the mixing of states.) The prior is that
-of the class in the drive: the time that its tracks have spent in each model, beside 10 s of the first prior. So a queue
+(Magill, Optimal adaptive estimation, 1965; Blom and Bar-Shalom, 1988, without the mixing of states.) The prior belongs
+to the class in the drive: the time that its tracks have spent in each model, beside 10 s of the first prior. So a queue
 has another one than a motorway. Without ego speed there is no static model. Constants without a source were chosen on
 13 of KITTI's tracking sequences.
 """
@@ -43,7 +43,7 @@ class MotionModels:
     def __init__(
         self, n_methods: int = 1, *, noises: tuple[float, ...] = ACCELERATION_NOISES, has_static: bool = True
     ) -> None:
-        """Start with the priors; `noises` are those of moving objects, and without `has_static` all are moving."""
+        """Start with the priors; `noises` are for moving objects, and without `has_static` all objects move."""
         self._static_prior = _STATIC_PRIOR * has_static
         noises = (_STATIC_NOISE, *noises)
         self.is_static: BoolArray = np.arange(len(noises))[:, None] == 0  # (G, 1)

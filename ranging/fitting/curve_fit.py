@@ -29,7 +29,7 @@ STANDARD_HEIGHTS_M: Mapping[str, tuple[float, float, str]] = {  # m, relative si
 
 
 def fit_curves(boxes: BoxSet, *, source: str) -> SizeCurves:
-    """Curves of the classes with `MIN_SAMPLES` boxes (CurveError without any), and of standard sizes for the others."""
+    """Curves of the classes with `MIN_SAMPLES` boxes (CurveError without any), and of standard sizes otherwise."""
     names, counts = np.unique(boxes.class_name, return_counts=True)
     fitted = [str(name) for name, count in zip(names, counts, strict=True) if count >= MIN_SAMPLES]
     if not fitted:

@@ -2,8 +2,8 @@
 
 The true distance is the z at which the ray through the label's box centre first meets its 3-D box, in the frame of the
 left colour camera (`ranging.evaluation.reference_distance`). Labels are used if they have a 3-D box at 5-100 m, are not
-truncated, have occluded <= 1 and one of five KITTI types, with vans as a separate class. The boxes may be those of the
-labels, with noise added, or those of a detector; the true distance is always that of the label.
+truncated, have occluded <= 1 and one of five KITTI types, with vans as a separate class. Boxes come from the labels,
+possibly with added noise, or from a detector; the true distance is always the label's.
 """
 
 from __future__ import annotations
@@ -191,7 +191,7 @@ def _listed(files: Sequence[Path], frames: Path, labels: Path) -> list[Path]:
 
 
 def _sequence(file: Path, calib: Path, boxes: str, selection: BoxSelection) -> tuple[BoxSet, bool]:
-    """Usable boxes of one file, as sequence 0, and whether any of its labels has a 3-D box."""
+    """Usable boxes of one file, as sequence 0, and whether any label of the file has a 3-D box."""
     n_columns = len(first_line(file, LabelFileError, "KITTI labels").split())
     labels = read_kitti_image(file) if n_columns in (0, *_OBJECT_COLUMNS) else read_kitti(file)
     camera, _ = load_camera(calib, size_px=None)
@@ -237,7 +237,7 @@ def _rows(labels: KittiLabels, camera: PinholeCamera, shift_m: FloatArray) -> Bo
 
 
 def _image_size_px(labels: KittiLabels, camera: PinholeCamera) -> IntArray:
-    """(2,) width and height of the image: that of the camera, of KITTI, or the smallest that contains the labels."""
+    """(2,) width and height of the image: the camera's, KITTI's, or the smallest that contains the labels."""
     if camera.width_px > 0:
         return np.array([camera.width_px, camera.height_px])
     for focal_px, size_px in _IMAGE_SIZE_PX.items():

@@ -100,7 +100,7 @@ STANDARD_BODIES: Mapping[str, Mapping[str, StandardBody]] = {  # sizes of produc
 
 
 def fit_size_priors(labels: BoxSet, *, source: str) -> CuboidSizes:
-    """Priors of all classes with a standard size, fitted to the labels of classes with enough of them.
+    """Priors of all classes with a standard size, fitted to the labels of classes with enough labels.
 
     CurveError: no class has `MIN_OBJECTS` objects and `MIN_BOXES` boxes with 3-D boxes.
     """

@@ -2,8 +2,8 @@
 
     cov(i, j) = sigma_i sigma_j  sum_s sqrt(p_is p_js)        over the error sources s that both methods declare
 
-p_is is the fraction of source s in the variance of method i. There is one covariance of the systematic fractions,
-constant over a track, and one of the independent fractions, new in every frame. Methods do not share the source `own`.
+p_is is the fraction of source s in the variance of method i. The covariance of the systematic fractions is constant
+over a track; the covariance of the independent fractions is new in every frame. Methods do not share the source `own`.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class ErrorModel:
 
     @classmethod
     def of(cls, methods: Sequence[RangingMethod]) -> ErrorModel:
-        """Error model of the given methods of distances; others are left out."""
+        """Error model of the given methods that measure distances; other methods are left out."""
         methods = [method for method in methods if method.measures_distance]
         systematic, systematic_correlation = _correlation(methods, "systematic")
         independent, independent_correlation = _correlation(methods, "independent", min_own=_MIN_OWN_NOISE)
@@ -110,8 +110,7 @@ def _correlation(
 def _superseded_by(methods: Sequence[RangingMethod]) -> BoolArray:
     """(M, M) whether method i is not used for tracks that method j measures.
 
-    A fallback is superseded by the method that it is a fallback for, and by another fallback for that method with the
-    same error sources as that method.
+    A fallback is superseded by its method, and by another fallback for this method that has the method's error sources.
     """
     shared = {
         method.name: {(s.name, s.systematic, s.independent) for s in method.error_sources if s.name != "own"}

@@ -1,6 +1,6 @@
 """Generalised least squares estimate of log distances from one frame's measurements and the biases of its tracks.
 
-Arrays are over M methods and N tracks, tracks last. Symbols are those of the docstring of `fusion`.
+Arrays are over M methods and N tracks, tracks last. Symbols are defined in the docstring of `fusion`.
 """
 
 from __future__ import annotations

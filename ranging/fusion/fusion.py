@@ -32,10 +32,10 @@ class sizes vary less, and even a half-occluded object appears no smaller than h
 occluder or on the background can be anywhere. But if a contact-point method, which does not depend on the class,
 agrees with matching, the size methods are rejected instead: the class is wrong.
 
-When methods are in conflict, rejected are, in this order: methods far from the track's previous distance, if at least
-as many are near it; of three or more methods, the one without which all others agree; methods that depend on the lane
-width, if they contradict the size methods (the lines may be those of another lane), or the size methods if a method
-that depends on the horizon is nearer to the lane methods.
+When methods are in conflict, these are rejected, in this order: methods far from the track's previous distance, if at
+least as many are near it; of three or more methods, the one without which all others agree; methods that depend on the
+lane width, if they contradict the size methods (the lines may belong to another lane), or the size methods if a
+method that depends on the horizon is nearer to the lane methods.
 """
 
 import math
@@ -112,9 +112,9 @@ class Fusion:
         self._tracks = TrackState(TrackBiases.initial_column(self._model))
 
     def fuse(self, by_method: Mapping[str, Ranges], track_id: IntArray, time_s: float) -> Fused:
-        """Fused ranges of the tracks (N,) of a frame, not earlier than the previous one, from those by each method.
+        """Fused ranges of the tracks (N,) of a frame, in the order of time, from the ranges of each method.
 
-        The ranges are in the order of `track_id`; those of methods that are not fused are ignored.
+        The ranges are in the order of `track_id`; ranges of methods that are not fused are ignored.
         """
         model, m = self._model, len(self._model.names)
         track = TrackBiases.from_columns(self._tracks.get(track_id), m)
@@ -195,7 +195,7 @@ def _inconsistent_with_size(
 ) -> BoolArray:
     """(M, N) matching, or size, methods of new tracks that imply an implausible object size for the class.
 
-    `measured` has all measurements: also methods that are not `usable` (M, N) may confirm others.
+    `measured` has all measurements: methods that are not `usable` (M, N) may also confirm other methods.
     """
     rejected = np.zeros_like(usable)
     is_new = usable[model.matching] & (track.n_agreements < _TRUSTED_FRAMES)
@@ -228,7 +228,7 @@ def _outliers(
 ) -> BoolArray:
     """(M, N) outliers among the `used` methods of tracks that are `in_conflict` (N,), by their `estimate`.
 
-    `measured` has all measurements: also methods that are not used may confirm others.
+    `measured` has all measurements: methods that are not used may also confirm other methods.
     """
     rejected = in_conflict & _far_from_history(used, estimate, track, model, time_s)
     unresolved = np.flatnonzero(in_conflict & ~rejected.any(axis=0) & (estimate.n_valid > 2))
@@ -273,7 +273,7 @@ def _wrong_lane(
 ) -> BoolArray:
     """(M, N) lane-width methods that contradict size methods, or the size methods if the horizon supports the lane.
 
-    The lines may be those of another lane, an error that is not part of sigma.
+    The lines may belong to another lane, an error that is not part of sigma.
     """
     rejected = np.zeros_like(used.valid)
     y, A, z = estimate.y, estimate.A, measured.z

@@ -22,7 +22,7 @@ class DenseRanger(Ranger):
     def __init__(
         self, rig: StereoRig, settings: SgbmSettings | None = None, *, alignment: AlignmentSource | None = None
     ) -> None:
-        """Create a ranger for a rectified rig; `alignment` corrects its disparities, None = that of the rig."""
+        """Create a ranger for a rectified rig; `alignment` corrects its disparities, None = the rig's alignment."""
         self._triangulate = Triangulation(rig, alignment or rig.alignment or Alignment())
         self._settings = settings or SgbmSettings.for_rig(rig)
         self._sgbm = Sgbm(self._settings)

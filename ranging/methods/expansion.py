@@ -52,7 +52,7 @@ class ExpansionRanger(Ranger):
     """
 
     def __init__(self, camera: PinholeCamera, *, noise: BoxNoise | None = None, has_images: bool = True) -> None:
-        """Create a ranger for `camera` (undistorted); `noise` is that of box edges, None = typical of a detector."""
+        """Create a ranger for `camera` (undistorted); `noise` of box edges: None = typical of a detector."""
         self._camera = camera
         self._noise = noise or detector_noise(camera.width_px)
         self._scales = PatchScales(camera) if has_images else None

@@ -12,8 +12,8 @@ Image motion measures it, and the curvature k of the road in the vertical plane 
 
     y = y0 + H s - fy k d / 2,   s = fy / d
 
-The objects on the road add to it, and replace it where there are no images or no motion. With its distance d_i by size,
-object i is a measurement
+The objects on the road add to this estimate, and replace it where there are no images or no motion. With its distance
+d_i by size, object i is a measurement
 
     y_i = y0 + H s_i (1 - b) - fy k d_i / 2,   variance = (H s_i)^2 (sigma_i / d_i)^2 + R
     R = pitch^2 + edge^2 + (kerb s_i)^2 + (crossfall x_i)^2 + curvature ahead^2
@@ -21,8 +21,8 @@ object i is a measurement
 of y0, H, k and the bias b that all distances by size share, which are solved for by weighted least squares over all
 tracks, with priors from image motion, the camera height and the drive (`DriveScale`). A track contributes the average
 of its recent measurements once, since its size error is the same in every frame. For the same reason each object is
-ranged with the road from the other objects only; otherwise its distance would repeat that by size. Without image
-motion, k and b are 0, and the pitch variance (pitch, slopes) is estimated from the residuals.
+ranged with the road from the other objects only; otherwise its distance would repeat the distance by size. Without
+image motion, k and b are 0, and the pitch variance (pitch, slopes) is estimated from the residuals.
 
 Where the camera height is known, distances from image motion alone, without any size, are the reference from which the
 drive's scale is measured.
@@ -199,7 +199,7 @@ class GroundPlane:
         self._known_prior = None
 
     def add_horizon(self, y_px: float, sigma_px: float) -> None:
-        """Add the row at which lane lines meet as a measurement of the horizon; it decays like that of a track.
+        """Add the row at which lane lines meet as a measurement of the horizon, which decays like a track's.
 
         It is ignored where it contradicts image motion: what was detected are not lines of a lane.
         """
@@ -272,7 +272,7 @@ class GroundPlane:
         return terms
 
     def _expected_px(self, x_px: FloatArray) -> FloatArray:
-        """Row (...) of the expected horizon at columns (...): that of image motion, or of the camera's axis."""
+        """Row (...) of the expected horizon at columns (...), from image motion or the camera's axis."""
         camera, road = self._camera, self._road
         if road is None:
             return np.full(x_px.shape, camera.cy_px)
@@ -322,7 +322,7 @@ class GroundPlane:
         return np.asarray((track_id[:, None] == self._ids).argmax(axis=1))
 
     def _drop_forgotten(self, is_present: BoolArray | bool) -> None:
-        """Remove tracks with too little information, except those in the mask (K,)."""
+        """Remove tracks with too little information, except tracks in the mask (K,)."""
         stays = (self._terms[0, 0] * self._pitch_px2 > _MIN_INFORMATION) | is_present
         if not stays.all():
             self._ids, self._terms = self._ids[stays], self._terms[..., stays]
@@ -386,7 +386,7 @@ class GroundPlane:
 
 
 class GroundRanger(Ranger):
-    """Ranges objects on the road; its horizon is that of image motion, or of mono's distances and lane lines.
+    """Ranger of objects on the road; its horizon comes from image motion, or mono's distances and lane lines.
 
     Attributes:
         plane: estimator of the horizon.
@@ -423,7 +423,7 @@ class GroundRanger(Ranger):
     def measure_at_scale(
         self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges], scale: DriveScale
     ) -> Measured:
-        """As `measure_with`; mono's distances share the uncertainty of the scale, which a known height measures."""
+        """See `measure_with`; mono's distances share the uncertainty of the scale, which a known height measures."""
         self.plane.update_road(self._road, bias_sigma=scale.bias_of("car").sigma)
         by_size = others["mono"] if "mono" in others else Ranges.unmeasured(tracks.track_id)
         is_independent = self._is_reference and self.plane.has_seen_horizon and not self._has_stereo

@@ -8,16 +8,16 @@ r"""LaneWidthRanger: distance from the image width of the lane at an object's co
                    bottom edge, grows with the distance as for all methods that use the contact point.
 
 Pitch cancels if lines and box come from the same image; a run detects lines ten times per second and uses the latest
-ones in between. The contact point is that of the nearest surface, or of tyres behind it (`surface_offset_m`).
+ones in between. The contact point belongs to the nearest surface, or to tyres behind it (`surface_offset_m`).
 
 W has a prior by region and road, and is learnt from the distances d_i of the tracks by another method:
 
     log (w_i d_i / fx) = log W + b + e_i        b: error that all d_i share, e_i: that of the track (its size)
 
-A track counts once, and the width that ranges a track is learnt from the others: its own would repeat d_i. Where d_i
-are distances by size, b is the error of the drive (`DriveScale`): the prior of W keeps a part of its weight, and the
-error source `drive_scale` is what both methods have in common. A width far from the prior is not that of a lane.
-Where the height H of the camera is known, the lines show their distance: W = H w' fy / fx.
+A track counts once, and the width that ranges a track is learnt from other tracks, since its own width would repeat
+d_i. Where d_i are distances by size, b is the error of the drive (`DriveScale`): the prior of W keeps a part of its
+weight, and the error source `drive_scale` is what both methods have in common. A width far from the prior does not
+belong to a lane. Where the height H of the camera is known, the lines show their distance: W = H w' fy / fx.
 """
 
 import math
@@ -110,7 +110,7 @@ class LaneWidthRanger(Ranger):
 
         `width_m` is the lane width W between the centre lines of the markings, None = usual in the region; its relative
         standard deviation is `width_sigma`. `width_from` is the method that it is learnt from, None = it is fixed.
-        `has_visible_boxes`: boxes end at the tyres, as those of a detector, within `box_sigma_px`.
+        `has_visible_boxes`: boxes end at the tyres, as a detector's boxes do, within `box_sigma_px`.
         """
         self._camera = camera
         self._box_sigma_px = box_sigma_px
@@ -137,13 +137,13 @@ class LaneWidthRanger(Ranger):
         return self._ranges(tracks, frame, np.array(math.log(self.lane.width_m)), np.array(self.lane.sigma))
 
     def measure_with(self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges]) -> Ranges:
-        """As `measure_at_scale`, without a measured scale of the drive."""
+        """See `measure_at_scale`; without a measured scale of the drive."""
         return self.measure_at_scale(tracks, frame, others, DriveScale()).ranges
 
     def measure_at_scale(
         self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges], scale: DriveScale
     ) -> Measured:
-        """As `measure`, with the width learnt from the method `width_from` in this frame and those before.
+        """See `measure`; the width is learnt from the method `width_from` in this frame and earlier frames.
 
         Sigmas are inflated if the other methods disagree with the distances of the whole frame.
         """
@@ -183,7 +183,7 @@ class LaneWidthRanger(Ranger):
     def _learnt(
         self, own: BoolArray, shared_sigma: float, time_s: float, *, is_measured: bool
     ) -> tuple[FloatArray, FloatArray]:
-        """(N,) log width and its sigma for each of the tracks of the frame, from the others; inf = not a lane.
+        """(N,) log width and its sigma for each of the tracks of the frame, from the other tracks; inf = not a lane.
 
         The tracks in the mask `own` (N,) are the first of those known, and left out for themselves. Sets `lane` to the
         estimate from all tracks.
@@ -274,7 +274,7 @@ class LaneWidthRanger(Ranger):
 def inflated_by_disagreement(ranges: Ranges, others: Sequence[Ranges]) -> Ranges:
     """Distances by lane width, with sigmas inflated by a common relative error that other methods show.
 
-    If the lines are those of another lane, or no lane lines, all distances of a frame are wrong by the same factor,
+    If the lines belong to another lane, or are no lane lines, all distances of a frame are wrong by the same factor,
     which the sigma of the lines does not contain. With e_i the log ratio of the other distance with the smallest sigma
     to that by lane width, and s_i its standard deviation, the common error is estimated as
 

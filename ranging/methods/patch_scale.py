@@ -8,13 +8,15 @@ the inverse compositional algorithm (Baker and Matthews, Lucas-Kanade 20 years o
     s <- s / (1 + ds),   t <- t - s dt              s: width and height now / those in the key frame
 
 First only t is estimated, on the next coarser level. Points that a nearer box covers, in the key frame or now, and
-those outside the image have no weight. The covariance of log s is that of least squares, with floors for other errors:
+those outside the image have no weight. The covariance of log s follows from least squares, with floors for other
+errors:
 
     cov log s = (_FIT r)^2 (A^T W A)^-1 / g^2 + diag(_FLOOR_PX / half extent)^2 + (_DEPTH log s)^2
 
-r is the residual; _DEPTH is the part of the growth by which that of other depths of the object differs. The growth is
-the weighted mean of both. The side of a vehicle beside the camera's axis grows up to twice as fast in width, since the
-bearing of its ends differs: its fraction of the width, for traffic along the road, is the sigma of that growth.
+r is the residual; _DEPTH is the relative difference of the growth at other depths of the object. The growth is the
+weighted mean of both estimates. The side of a vehicle beside the camera's axis grows up to twice as fast in width,
+since the bearing of its ends differs: its fraction of the width, for traffic along the road, is the sigma of that
+growth.
 """
 
 from __future__ import annotations
@@ -130,7 +132,7 @@ class PatchScales:
     """Measures the growth of tracks in the images of one camera."""
 
     def __init__(self, camera: PinholeCamera) -> None:
-        """Start without key frames; boxes and images are those of `camera` (undistorted)."""
+        """Start without key frames; boxes and images belong to `camera` (undistorted)."""
         self._camera = camera
         self._tracks = TrackState(np.full(_N_ROWS, np.nan))
 
@@ -189,7 +191,7 @@ def _aligned(
 ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
     """Shift t (N, 2) and scales s (N, 2), covariance of log s (N, 2, 2), and whether the alignment is accepted.
 
-    The N patches are those of the boxes `rows` (N,) of `xyxy_px`; the search starts from the shift `shift_px` (N, 2).
+    The N patches belong to the boxes `rows` (N,) of `xyxy_px`; the search starts from the shift `shift_px` (N, 2).
     """
     n, P = len(rows), _GRID**2
     half_px, centre_px, s, t = key.half_px.T, key.centre_px.T, key.scale.T, shift_px

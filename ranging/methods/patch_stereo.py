@@ -83,13 +83,13 @@ class StereoRanger(Ranger):
         return self.measure_with(tracks, frame, {})
 
     def measure_with(self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges]) -> Ranges:
-        """As `measure`; mono's distances help to separate an object from what occludes it."""
+        """See `measure`; mono's distances help to separate an object from what occludes it."""
         return self.measure_at_scale(tracks, frame, others, DriveScale()).ranges
 
     def measure_at_scale(
         self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges], scale: DriveScale
     ) -> Measured:
-        """As `measure_with`; the distances are evidence of the drive's scale, and do not depend on it."""
+        """See `measure_with`; the distances are evidence of the drive's scale, and do not depend on it."""
         by_size = None
         if "mono" in others:
             image_hw = (frame.left.shape[0], frame.left.shape[1])

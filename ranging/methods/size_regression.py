@@ -39,7 +39,7 @@ _COVERED_SIGMA = 0.06  # relative, of the distance of a box that nearer ones cov
 def incomplete_sigma(xyxy_px: FloatArray, is_cut: BoolArray) -> FloatArray:
     """(N,) relative standard deviation of distances by size because of the parts of objects that are not visible.
 
-    Of all boxes of the frame (N, 4), those that end lower in the image are nearer; `is_cut` (N,) is whether the left or
+    Boxes of the frame (N, 4) that end lower in the image are nearer; `is_cut` (N,) is whether the left or
     right side is at the border of the image.
     """
     bottom_px = xyxy_px[:, 3]
@@ -81,7 +81,7 @@ class SizeRanger(Ranger):
         `box_sigma_px` is the standard deviation of all box edges; `noise` overrides it, and without both it is typical
         of a detector. `box_errors` are systematic errors of the detector's boxes; None = an unknown detector, or with
         `box_sigma_px` no such errors. `parallax` triangulates static objects, which corrects their tracks.
-        `has_visible_boxes`: boxes end where a nearer object begins, as those of a detector.
+        `has_visible_boxes`: boxes end where a nearer object begins, as a detector's boxes do.
         """
         self._has_visible_boxes = has_visible_boxes
         self._parallax = parallax
@@ -100,9 +100,10 @@ class SizeRanger(Ranger):
     def measure_at_scale(
         self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges], scale: DriveScale
     ) -> Measured:
-        """As `measure`, corrected by the scale of the drive and by the triangulation of static objects.
+        """See `measure`; corrected by the scale of the drive and by the triangulation of static objects.
 
-        The triangulated distances are evidence of the scale; those of this frame already correct their own tracks.
+        The triangulated distances are evidence of the scale; distances triangulated in this frame already correct their
+        own tracks.
         """
         by_size = self._by_size(tracks, frame)
         step, self._step = self._step, None

@@ -48,8 +48,8 @@ def box_of_cuboid(
     """Image of cuboids with log sizes (height, width, length), for broadcast arrays of the other arguments.
 
     `log_hwl`, (3,) or (3, ...), is of metres; `yaw_rad` is the angle between the long side and the camera's axis,
-    `bearing` the tangent of that of the box's middle column, whose ray meets the surface at the depth `distance_m`.
-    From a `start`, the image of cuboids of similar size, fewer iterations are needed.
+    `bearing` the tangent of the angle of the box's middle column, whose ray meets the surface at the depth
+    `distance_m`. From a `start`, the image of cuboids of similar size, fewer iterations are needed.
     """
     height, width, length = np.exp(log_hwl)
     cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)

@@ -8,9 +8,9 @@ the distance by size without the part that a drive shares. Each track is one mea
 information, in which errors are correlated over `_CORRELATED_S`. The estimate is the posterior mean over all tracks
 (ridge regression) with Cauchy weights, since vans are detected as cars and contact points are hidden.
 
-Distances by size are multiplied by exp(a + c_k). Their sigma has the variance of the bias in place of its prior one: it
-shrinks as evidence comes, first that of other classes, then that of the class. A reference that is not used elsewhere
-(`ScaleEvidence.corrects_tracks`) also corrects its own track, by the posterior mean of a + c_k + e_i.
+Distances by size are multiplied by exp(a + c_k). Their sigma contains the variance of the bias instead of its prior
+variance. It shrinks with evidence, first from other classes, then from the class. A reference that is not used
+elsewhere (`ScaleEvidence.corrects_tracks`) also corrects its own track, by the posterior mean of a + c_k + e_i.
 
 A scale is a value: the evidence of frame t gives the scale of frame t + 1 (`DriveScale.after`).
 """
@@ -236,7 +236,7 @@ def _averaged(known: _Tracks, frame: _Tracks) -> _Tracks:
 
 
 def _rows(track_id: IntArray, known: IntArray) -> tuple[IntArray, BoolArray]:
-    """(N,) row of each track in `known` (K,), 0 for others, and whether it is there."""
+    """(N,) row of each track in `known` (K,), 0 if it is not there, and whether it is there."""
     if not len(known):
         return np.zeros(len(track_id), np.int64), np.zeros(len(track_id), np.bool_)
     is_same = track_id[:, None] == known

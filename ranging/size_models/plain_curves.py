@@ -129,7 +129,7 @@ class TableCurve:
 
 
 _Nodes = Annotated[list[Annotated[Number, Field(ge=-20, le=20)]], Field(min_length=2, max_length=10_000)]
-"""Logarithms of the nodes of a table; those of box sizes and distances are within +-10."""
+"""Logarithms of the nodes of a table, within +-10 for box sizes and distances."""
 
 
 class _ClassTable(BaseModel):

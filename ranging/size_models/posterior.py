@@ -5,7 +5,7 @@
 The sum is over yaw bins and body types k with prior weight w_k; m_k and S_k are mean and covariance of the log box
 size, R the noise and systematic errors of the box. m_k is linear in log d about a node of the `ShapeTables`, so that
 without the bottom edge log d is a mixture of Gaussians. The likelihood of the bottom edge is not linear, so the product
-of both is evaluated on a grid of log d.
+of prior and likelihood is evaluated on a grid of log d.
 
 The reported distance has the smallest expected relative error: it is the median under p(log d) / d. Sigma is half the
 width of the central 68 %, or half the distance to the farther end of the central 95 % if it is larger: a second body
@@ -110,7 +110,8 @@ def _packed_terms(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_fr
         weight      log w - (e'V^-1 e + p0 x0^2 - p x^2 + log(p |V| / p0)) / 2
 
     For V = [v_h b; b v_w], in the code (a, c) = (v_h, v_w) / |V| and b / |V| are the entries of V^-1 = [c -b; -b a].
-    Arrays are (K, M, N), for K yaw bins, or broadcastable to that; those from the nodes on are in single precision.
+    Arrays are (K, M, N), for K yaw bins, or broadcastable to this shape; arrays derived from the nodes are in single
+    precision.
     """
     log_hw = np.log(boxes.wh_over_f.T[::-1])
     log_height, mean_log_m, precision = tables.typical.take(body, axis=1)
@@ -210,8 +211,8 @@ def ground_likelihood(
 ) -> FloatArray:
     """(N, G) likelihood of the bottom edges at the log distances `log_m` (N, G), given the `ground` from other objects.
 
-    `log_contact_ratio` (N,) is the log of the distance divided by that of the nearest point on the ground. Objects that
-    are not on the ground have the likelihood 1.
+    `log_contact_ratio` (N,) is the log of the ratio of the distance to the distance of the nearest point on the ground.
+    Objects that are not on the ground have the likelihood 1.
     """
     inverse_depth = np.exp(log_contact_ratio[:, None] - log_m)
     residual2 = ((contacts.bottom - ground.horizon)[:, None] - ground.height_m[:, None] * inverse_depth) ** 2
@@ -236,7 +237,7 @@ def _contact_likelihood(
 ) -> FloatArray:
     """Likelihood of squared residuals of contact points at the height of the road and off it (kerbs).
 
-    `variance` is that without the height of the contact points, which is multiplied by `per_height2`.
+    `variance` excludes the height of the contact points, whose variance is multiplied by `per_height2`.
     """
     half = -0.5 * residual2
     smooth, rough = variance + prior.kerb_m[0] ** 2 * per_height2, variance + prior.kerb_m[1] ** 2 * per_height2

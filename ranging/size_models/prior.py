@@ -1,4 +1,4 @@
-"""SizePrior: prior of the size, yaw and distance of objects of a class; ShapeTables: the boxes that follow from it.
+"""SizePrior: prior of the size, yaw and distance of objects of a class; ShapeTables: the boxes that this prior implies.
 
     log (height, width, length) ~ sum_b fraction_b N(mean_b, covariance_b)  over the objects of all drives
     yaw                         ~ weights of a few angles to the camera's axis, the same to the left and right
@@ -68,7 +68,7 @@ class BodyType(BodySizes):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SizePrior(BodySizes):
-    """Prior of one class; the names of the attributes are keys of curve files. The sizes are those over all body types.
+    """Prior of one class; the names of the attributes are keys of curve files. The sizes cover all body types.
 
     Attributes:
         turn_weights: probability of each yaw in `YAW_DEG`; they sum to 1.

@@ -3,12 +3,12 @@
     log size of an object = class and region  +  drive         +  body type  +  object
                             mean_r               N(0, drive^2)     fractions_r   N(0, sigma^2)
 
-The packaged priors are those of KITTI's labels, from Germany. Other populations have other fractions of the same body
-types. A drive deviates from its region by `_DRIVE_SIGMA`, as data sets of one region do: streets differ, and so do
-the people who draw boxes. In an unknown region the deviation of the regions from their mean is added to it.
+The packaged priors were fitted to KITTI's labels, from Germany. Other populations have other fractions of the same body
+types. A drive deviates from its region by `_DRIVE_SIGMA`, as data sets of one region do, since streets and the people
+who draw boxes differ. In an unknown region, the deviation of the regions from their mean is added.
 
 Cars and people have one Gaussian with the moments of the mixture, in whose covariance the aspect ratio of a box depends
-on its type; the others keep the types as components (`SizePrior.bodies`), whose heights differ by more.
+on its type; other classes keep the types as components (`SizePrior.bodies`), whose heights differ more.
 
 Sizes are those of frequent models. Fractions in North America: EPA, Automotive Trends Report (production by type, model
 years 2008 to 2018); in East Asia: our estimate from sales of Japan, China and Singapore. Heights of people: NCD-RisC,
@@ -105,7 +105,7 @@ _CORRELATION = 0.3  # between any two log sizes of the objects of one type
 
 
 def in_region(model: CuboidSizes, region: Region) -> CuboidSizes:
-    """The packaged `model`, which is that of Europe, for the road users of a region."""
+    """The packaged `model`, which is for Europe, adapted to the road users of a region."""
     priors = dict(model.priors)
     for name, prior in model.priors.items():
         known = {one: _populated(name, prior, one) for one in _FRACTIONS}

@@ -5,10 +5,10 @@
     var r_i = (roll b_i)^2 + (kerb x_i)^2   b_i: tangent of the bearing
 
 z_i has a relative error of about 8 %. On KITTI, contact points within 4 m of the camera's axis are 0.1 m above or
-below the plane, those at 8-14 m 0.36 m, at 14-25 m 0.6 m: cross slopes, roll and side roads, which act as an angle
+below the plane, points at 8-14 m 0.36 m, and at 14-25 m 0.6 m: cross slopes, roll and side roads, which act as an angle
 times the bearing. Far objects, whose contact points matter little, determine the horizon for the near ones. y0 and H
-are estimated for each object from the other objects only, so that they are independent of its size: those of the frame,
-and those that were seen earlier in the drive (`DriveState`), between which the pitch has changed.
+are estimated for each object from the other objects only, so that they are independent of its size: objects of the
+frame, and objects that were seen earlier in the drive (`DriveState`), between which the pitch has changed.
 """
 
 from dataclasses import dataclass
@@ -110,7 +110,7 @@ def ground_from_others(
 def _prior_information(prior: GroundPrior, y0: float, drive: DriveState) -> FloatArray:
     """(5,) terms (a, b, c, u, v) of `solve_ground` before the frame: of the prior and the earlier objects of the drive.
 
-    The prior's variance of y0 is that of Student's t at `y0`. Since the earlier objects the pitch has changed.
+    The prior's variance of y0 is the variance of Student's t at `y0`. Since the earlier objects the pitch has changed.
     """
     scale = (2.0 + ((y0 - prior.horizon) / prior.horizon_sigma) ** 2) / 3.0
     of_y0, of_H = 1.0 / (prior.horizon_sigma**2 * scale), prior.camera_height_sigma_m**-2

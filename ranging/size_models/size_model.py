@@ -7,7 +7,7 @@ DriveState: what the objects of a drive have shown about its ground plane and ab
     r_i ~ N(0, lambda (roll_i^2 + kerb_i^2))    contact point off the plane; lambda: roughness of the drive
 
 A frame has few objects, and the size of each is known to some per cent only. y0, H and lambda are common to a drive, so
-that the objects seen before contribute to those of the frame. The size error of an object is the same in all of its
+that objects seen before contribute to the objects of the frame. The size error of an object is the same in all of its
 frames: an object counts once, with the mean of its normal equations over its frames, and only after it has left; while
 it is in view it counts with its present measurement.
 

@@ -13,8 +13,8 @@ coordinates, an object at the distance z, which the ego vehicle reaches after T 
     o = x - V (w T^2 / 2 + w' T^3 / 6)         o' = u_x - (w T + w' T^2 / 2) u
     var o = P_oo + V^2 (P_ww T^4 / 4 + P_ww' T^5 / 6 + P_w'w' T^6 / 36 + q T^7 / 252)
 
-both of which are constant for static objects and for all that follow the road. Traffic lights and signs have no
-probability of contact: they hang above the road, or are beside it.
+both of which are constant for static objects and for all vehicles that follow the road. Traffic lights and signs have
+no probability of contact: they hang above the road, or are beside it.
 """
 
 import math
@@ -72,7 +72,7 @@ _CALIBRATION = (-1.2, 1.8)
 
 Fitted on drives without images (seeds 0 to 7, fused: 1.9 h of harmless driving, 0.27 h with contacts) and on rendered
 drives (30 of the seeds 0 to 29, stereo), for the smallest error of the reliability diagram above 0.1 on the worse of
-both."""
+the two sets."""
 
 _FREE_NOISE, _FREE_SIGMA_MPS = 3.0, 30.0
 """Process noise, m/s per square root of a second, and first standard deviation of rates if all speeds are possible."""
@@ -411,7 +411,7 @@ def _free_motion(ranges: Ranges | None, last: _WarningState, time_s: float) -> C
 
 
 def _with_rate(state: ConstantVelocity, rate_mps: float, sigma_mps: FloatArray) -> ConstantVelocity:
-    """The states after a pseudo-measurement of their rates with the given sigma; not where it is implausible."""
+    """The states after a pseudo-measurement of their rates with the given sigma, where this is plausible."""
     S = state.P_vv + sigma_mps**2
     nu = rate_mps - state.v
     weight = np.where(nu**2 < _GATE_SIGMA**2 * S, 1.0 / S, 0.0)

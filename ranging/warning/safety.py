@@ -8,8 +8,8 @@
     TET, TIT     int [TTC < T*] dt, int (T* - TTC) dt over TTC < T*
     PET          time between the first one leaving and the second one reaching the place at which two paths cross
 
-Headway and decelerations are those of road users on the ego path, whose width overlaps that of the ego vehicle there;
-TTC also of those that will be there, with a probability of contact of at least one half.
+Headway and decelerations are given for road users on the ego path, whose width overlaps the ego vehicle's width there.
+TTC is also given for road users that will be there, with a probability of contact of at least one half.
 """
 
 from __future__ import annotations
@@ -167,7 +167,7 @@ def _lane_index(
 def post_encroachment_s(
     ego: FloatArray, track: FloatArray, *, half_width_m: float, settings: WarningSettings | None = None
 ) -> float:
-    """PET of a track whose path crosses that of the ego vehicle; NaN = they do not cross, or one was not there.
+    """PET of a track whose path crosses the ego path; NaN = no crossing, or one of both did not pass it.
 
     `ego` (M, 3) and `track` (N, 3) are times in s with positions in m in the frame `map`, of the camera and of the
     object's middle, in the order of time. The place of the encounter is where the track is nearer to the ego path than

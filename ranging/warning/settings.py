@@ -13,9 +13,9 @@ class WarningSettings:
         0.1
 
     The thresholds of the alarm and the standard deviations of the motion were chosen on simulated drives without images
-    of all scenarios (seeds 0 to 7 with stereo, 0 to 5 with one camera) and on rendered ones (30 of the seeds 0 to 29),
-    for warnings at least 2.1 s before contacts and few false alarms. The noise of the ego path was fitted to the shapes
-    of the roads of seeds 0 to 11 by maximum likelihood. Sizes of the ego vehicle are those of the simulation.
+    of all scenarios (seeds 0 to 7 with stereo, 0 to 5 with one camera) and on rendered drives (30 of the seeds 0 to
+    29), for warnings at least 2.1 s before contacts and few false alarms. The noise of the ego path was fitted to the
+    shapes of the roads of seeds 0 to 11 by maximum likelihood. Sizes of the ego vehicle are taken from the simulation.
 
     Attributes:
         horizon_s: a contact within this time counts.

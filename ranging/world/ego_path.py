@@ -5,8 +5,9 @@ z up; headings are counterclockwise from x (ISO 8855, as in OpenSCENARIO). The r
 
     psi' = psi - w dt        x' = x + V dt cos(psi - w dt / 2)        y' = y + V dt sin(psi - w dt / 2)
 
-V is the speed, w the yaw rate (positive = to the right). The errors of both have a part that all frames share (scale,
-bias), whose effect J on the pose grows with the distance travelled, and one that is forgotten within a second:
+V is the speed, w the yaw rate (positive = to the right). The errors of speed and yaw rate have a part that all frames
+share (scale, bias), whose effect J on the pose grows with the distance travelled, and a part that decays within a
+second:
 
     P' = F P F^T + Q        J' = F J + B        covariance = P + J J^T        F = d pose' / d pose
 """
@@ -52,8 +53,8 @@ class EgoPose:
 class EgoPath:
     """Integrates the motion of the camera, frame by frame.
 
-    A missing speed is that of the last frame, with a growing sigma; a missing yaw rate is 0, with the sigma of usual
-    lateral accelerations.
+    A missing speed is replaced by the last frame's speed, with a growing sigma; a missing yaw rate is 0, with the sigma
+    of usual lateral accelerations.
     """
 
     def __init__(self) -> None:

@@ -99,7 +99,7 @@ class EgoSpeed:
 def open_ego_speed(text: str) -> EgoSpeed:
     """Ego speed from a number in km/h, a CSV file or a folder of KITTI oxts files.
 
-    Raises EgoSpeedError: `text` is none of these, or the file or folder cannot be used.
+    Raises EgoSpeedError: `text` is neither a number, a file nor a folder, or the file or folder cannot be used.
     """
     kmh, path = number(text), Path(text)
     if not math.isnan(kmh) or text.strip().lower() == "nan":

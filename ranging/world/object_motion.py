@@ -3,10 +3,11 @@
     u = v + V - w x    speed along the optical axis: filtered rate v of the distance, ego speed V, yaw rate w
     x'                 speed to the right of it over ground (`LateralFilters`, which removes the rotation of the camera)
 
-The filter has the probability q that an object moves along the axis, and the moments of u over both cases; those of u
-where it moves follow. x' has the variance B = f P_x'x' (f since errors of filtered rates are correlated). An object
-that does not move along the axis is at rest (R) or crosses it (C, a fraction c); of those that move along it (M), three
-quarters have small speeds m across it, the rest and C any of 1 sigma M. With L_a = N(x'; B + a^2) / N(x'; B):
+The filter has the probability q that an object moves along the axis, and the moments of u over both cases; the moments
+of u for moving objects follow. x' has the variance B = f P_x'x' (f since errors of filtered rates are correlated). An
+object that does not move along the axis is at rest (R) or crosses it (C, a fraction c); of the objects that move along
+it (M), three quarters have small speeds m across it; the rest and C have any speed of 1 sigma M. With L_a = N(x'; B +
+a^2) / N(x'; B):
 
     R : C : M = (1 - q) (1 - c) : (1 - q) c L_M : q (3/4 L_m + 1/4 L_M)
 
@@ -85,7 +86,7 @@ class ObjectMotion:
 
     @classmethod
     def unknown(cls, n: int) -> ObjectMotion:
-        """Motion of n tracks of which nothing is known."""
+        """Motion of n tracks whose motion is unknown."""
         return cls(*np.full((6, n), np.nan))
 
     def select(self, rows: slice) -> ObjectMotion:

@@ -64,7 +64,7 @@ class Parallax:
         self._camera = camera
         self._before: _Picture | None = None
         self._state = TrackState(np.array([np.nan, np.nan, np.nan, 0.0]))
-        """By track: 1 / Z, its variance, time of the last measurement, seconds in agreement with the other distance."""
+        """By track: 1 / Z, its variance, time of the last measurement, seconds in agreement with other distances."""
 
     def measure(self, tracks: Tracks, step: CameraStep | None, other: Ranges) -> Ranges:
         """Distances of N tracks that are static; NaN = moving, unknown, or not precise.

@@ -3,7 +3,7 @@ r"""CameraFit: focal length, camera height, pitch and roll from known metres, by
     theta = (log f, log H, y0, r, b)     f: focal length in px, H: height of the camera above the road in m,
                                          y0: row of the horizon below the image centre in px, pitch = atan(y0 / f) down,
                                          r: slope of the horizon (tangent of the roll), b: log ratio of the sizes of
-                                         this drive's road users to those of the size model
+                                         this drive's road users to the size model
 
 Residuals, each divided by its standard deviation (u, v: column and row from the image centre, box w x h px):
 
@@ -18,7 +18,8 @@ Residuals, each divided by its standard deviation (u, v: column and row from the
 
 Sizes with contact points give H and y0, but not f: scaling f and all distances alike leaves all images of flat objects
 unchanged. Known distances and the prior of f separate the two. The covariance is (J'J)^-1 at the solution (Laplace's
-approximation). Standard deviations are those at the parameters of the fit before, so that they do not attract it.
+approximation). Standard deviations are computed at the parameters of the previous fit, so that they do not attract the
+fit.
 """
 
 import math
@@ -124,7 +125,7 @@ class CameraFit:
         return float(self.covariance[i, j] / math.sqrt(self.covariance[i, i] * self.covariance[j, j]))
 
     def gain(self, name: str) -> float:
-        """Standard deviation of a parameter divided by that of its prior: 1 = the measurements do not determine it."""
+        """Ratio of a parameter's standard deviation to its prior's: 1 = the measurements do not determine it."""
         i = PARAMETERS.index(name)
         return self._sigma(i) / float(self.prior_sigma[i])
 
@@ -306,7 +307,7 @@ class _Terms:
     def reweight(self, theta: FloatArray) -> None:
         """Compute the standard deviations of the residuals, and the scene's distances by size, from a first fit.
 
-        The standard deviations of the scene follow from the fitted distances: those by size are noisy, and weights
+        The standard deviations of the scene follow from the fitted distances: distances by size are noisy, and weights
         that depend on the noise would prefer boxes that are too small.
         """
         self._start_from(theta)

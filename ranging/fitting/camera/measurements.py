@@ -1,9 +1,9 @@
 """Measurements from which a camera without a calibration is fitted: known metres, boxes of a video, focal guesses.
 
-Pixels are those of the video, with the principal point at the image centre and without lens distortion. A known
+Pixels are pixels of the video, with the principal point at the image centre and without lens distortion. A known
 distance is the project's `distance_m`: the depth z, along the camera's axis, of the surface in which the ray through
-the centre of the box meets the object. For an object straight ahead that is the distance from the lens to its nearest
-surface.
+the centre of the box meets the object. For an object straight ahead, this is the distance from the lens to the object's
+nearest surface.
 """
 
 from __future__ import annotations
