@@ -46,8 +46,7 @@ class ConstantVelocity:
     def update(
         self, innovation: FloatArray, R: FloatArray | float, *, valid: BoolArray | bool = True
     ) -> ConstantVelocity:
-        """The states after measurements with innovation nu and variance R > 0; states that are not `valid` do not
-        change."""
+        """The states after measurements with innovation nu and variance R > 0; states outside `valid` do not change."""
         weight, nu = 1.0 / (self.P_xx + R), innovation
         if valid is not True:
             weight, nu = np.where(valid, weight, 0.0), np.where(valid, innovation, 0.0)

@@ -50,8 +50,7 @@ class Registry(Generic[T]):
 
 
 def imported(thing: T | str) -> T:
-    """The object that a text "package.module:attribute" names; other values are returned unchanged. Errors of the
-    import are passed on."""
+    """The object that a text "package.module:attribute" names, or another value itself; import errors pass."""
     if not isinstance(thing, str):
         return thing
     module, _, attribute = thing.partition(":")

@@ -16,8 +16,7 @@ def schema_version_of(metadata: Mapping[bytes, bytes] | None) -> int | None:
 
 
 def check_schema_version(path: object, metadata: Mapping[bytes, bytes] | None, error: type[Exception]) -> None:
-    """Raise `error` if the metadata of the schema of an Arrow file state a newer version; metadata without a version
-    are accepted."""
+    """Raise `error` if the schema metadata of an Arrow file state a newer version; no version is accepted."""
     schema_version = schema_version_of(metadata)
     if schema_version is not None and schema_version > SCHEMA_VERSION:
         raise error(

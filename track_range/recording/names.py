@@ -79,8 +79,7 @@ VideoName = WholeName | Half  # any source of one camera's images
 
 
 def video_name(name: str | VideoName | Sequence[str | Path]) -> VideoName:
-    """The source or pattern with this name, or several files; raises ValueError for no name, or live sources among
-    several."""
+    """The source or pattern with this name, or several files; ValueError for no name or several live sources."""
     if isinstance(name, str):
         return live_address(name) or Path(name)
     if isinstance(name, Path | LiveAddress | Segments | BagTopic | VideoTrack | Half):

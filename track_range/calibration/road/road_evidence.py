@@ -52,7 +52,7 @@ class KnownMetres:
 
 
 def known_metres(distances: Sequence[str], heights: Sequence[str], widths: Sequence[str]) -> tuple[KnownMetres, ...]:
-    """Measurements from texts of options, one object by time and box; UsageError for others and implausible ones."""
+    """Measurements from texts of options, one object by time and box; UsageError for invalid or implausible texts."""
     known: dict[str, KnownMetres] = {}
     for flag, key, texts, limits in (
         ("--known-distance", "distance_m", distances, DISTANCE_M),
@@ -77,7 +77,7 @@ def known_metres(distances: Sequence[str], heights: Sequence[str], widths: Seque
 
 
 def known_lanes(texts: Sequence[str]) -> tuple[KnownLane, ...]:
-    """Lane widths from the texts 'T_S,X1,X2,Y=METRES' of the option; UsageError for others and implausible ones."""
+    """Lane widths from the texts 'T_S,X1,X2,Y=METRES' of the option; UsageError for invalid or implausible texts."""
     lanes, flag = [], "--known-lane-width"
     for text in texts:
         parts, (time_s, x1, x2, y), _, width_m = _parsed(text, flag, "T_S,X1,X2,Y", LANE_M)

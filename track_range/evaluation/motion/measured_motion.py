@@ -33,8 +33,7 @@ from track_range.tracking.tracks import Tracks
 
 
 def combined(forward: ConstantVelocity, backward: ConstantVelocity) -> ConstantVelocity:
-    """State of (N,) tracks from the states forwards and backwards in time; or from one direction where the other is
-    unknown.
+    """State of (N,) tracks from states forwards and backwards in time, or from one direction if only one is known.
 
     The backward filter has negative times and speeds, so that its rate is -v. Given the state, the errors of both
     directions are independent (Fraser and Potter, IEEE TAC 1969), except that both contain the measurement of that

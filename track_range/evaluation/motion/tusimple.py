@@ -77,8 +77,7 @@ def _vehicles(clip: Path) -> FloatArray:
 
 
 def vehicle_columns(vehicles: Any) -> FloatArray:
-    """(N, 8) boxes, positions and velocities of labelled vehicles; ValueError, KeyError or TypeError for other
-    content."""
+    """(N, 8) boxes, positions and velocities of labelled vehicles; ValueError, KeyError or TypeError if invalid."""
     rows = [[*(v["bbox"][edge] for edge in _EDGES), *v["position"], *v["velocity"]] for v in vehicles]
     return np.array(rows, np.float64).reshape(len(rows), 8)
 

@@ -56,8 +56,7 @@ class FileNames:
 
 
 def _folders(location: Location) -> Iterable[str]:
-    """Texts before the name of a file, as messages contain them; for folders of images, the texts before its last
-    part."""
+    """Texts before the name of a file, as messages contain them; for folders of images, before its last part."""
     if not location.is_local:
         return [f"{str(location).partition('?')[0].rpartition('/')[0]}/"]
     parents = (location.path.parent, Path(os.path.realpath(location.path)).parent)

@@ -77,8 +77,7 @@ class DecodeLog:
         self.last_s, self.end_s = time_s, time_s + duration_s
 
     def image(self, image: Image) -> None:
-        """Count an image that repeats the one before exactly, while the images around it differ, unlike images of a
-        stop."""
+        """Count an image that exactly repeats the one before while the images around it differ, unlike in a stop."""
         sample = image[::_SAMPLE_STEP, ::_SAMPLE_STEP].copy()
         is_repeat = self._sample is not None and np.array_equal(sample, self._sample)
         self.n_repeated += self._repeats == (False, True) and not is_repeat

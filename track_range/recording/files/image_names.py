@@ -107,8 +107,7 @@ def stereo_images(folder: Path) -> tuple[Path, Path] | None:
 
 
 def _sides_in(files: Sequence[Path]) -> dict[str, list[Path]] | None:
-    """Pattern and images of the left and of the right camera, whose names differ only in the side; None = images of one
-    camera."""
+    """Pattern and images of the left and right camera, whose names differ only in the side; None = one camera."""
     for sides in _SIDES:
         halves: dict[str, list[Path]] = {}
         remaining: list[set[str]] = []

@@ -80,8 +80,7 @@ class PairMonitor:
                 return
 
     def finish(self) -> PairFinding | None:
-        """The explanation of the pairs so far, None without pairs; of later pairs, only the first in motion are
-        checked."""
+        """The explanation of the pairs so far, None without pairs; only the first later pairs in motion are checked."""
         if self.finding is None and self._evidence.n_pairs:
             self._explain()
         if self.finding is not None and self.finding.fault == "swapped":

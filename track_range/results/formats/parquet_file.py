@@ -183,8 +183,7 @@ def _errors_of(path: Path) -> Iterator[None]:
 
 
 def _usable_columns(path: Path, schema: pa.Schema) -> list[str]:
-    """Names of the columns that can be read; OutputError for a newer version, ValueError for too many or equal
-    names."""
+    """Names of the readable columns; OutputError for a newer version, ValueError for too many or equal names."""
     from pyarrow import types
 
     check_schema_version(path, schema.metadata, OutputError)

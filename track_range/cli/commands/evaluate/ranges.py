@@ -79,8 +79,7 @@ _LITERATURE: tuple[tables.ColumnSpec, ...] = (  # metrics of published evaluatio
 
 
 def _literature_grids(figures: Mapping[str, Any]) -> list[tables.Grid]:
-    """A table per class, and one over all classes, if frames, objects or distances are chosen as in published
-    evaluations.
+    """A table per class; for frames, objects or distances of published evaluations also over all classes.
 
     The JSON file always has these metrics.
     """

@@ -39,8 +39,7 @@ N_COMPARED = 100  # maximum number of images on which copies are compared with t
 
 @dataclass(slots=True)
 class _OriginalsBoxes:
-    """Images without labels: boxes of the original are the ground truth, so that AP measures agreement with the
-    original."""
+    """Images without labels: the original's boxes are the truth, so that AP measures agreement with the original."""
 
     original: YoloDetector
     paths: Sequence[Path]

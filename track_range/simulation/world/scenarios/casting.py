@@ -61,8 +61,7 @@ def lane(
 def oncoming(
     rng: np.random.Generator, *, speed_mps: float, until_m: float, seconds: float, **others: Any
 ) -> list[RoadUser]:
-    """The oncoming traffic of one lane that is nearer than `until_m` within `seconds`; `others` are arguments of
-    `lane`."""
+    """The oncoming traffic of one lane nearer than `until_m` within `seconds`; `others`: arguments of `lane`."""
     until_m += speed_mps * seconds
     return lane(rng, speed_mps=speed_mps, from_m=30.0, until_m=until_m, heading_rad=TOWARDS_RAD, **others)
 
