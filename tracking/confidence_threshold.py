@@ -82,8 +82,12 @@ class ConfidenceThreshold:
         """(N,) threshold for boxes of the classes (N,)."""
         return np.asarray(self._by_group[SAME_OBJECT_GROUP[class_id]])
 
-    def update(self, detections: Detections) -> None:
-        """Count the boxes of one frame, including low-confidence ones."""
+    def update(self, detections: Detections, moved_xyxy_px: FloatArray | None = None) -> None:
+        """Count the boxes of one frame, including low-confidence ones.
+
+        `moved_xyxy_px` (N, 4) are the boxes of the last frame with any, where their tracks predict them now: near ones
+        move by more than their width. None = as they were.
+        """
         if self._settings.min_fraction <= 0 or not len(detections):
             return  # no information if the detector skipped the frame, and hardly any if it is empty
         before, self._before = self._before, None
@@ -95,6 +99,8 @@ class ConfidenceThreshold:
         self._before = now
         if before is None or not is_compared:
             return
+        if moved_xyxy_px is not None:
+            before = before._replace(xyxy_px=moved_xyxy_px)
         step = -(-len(before.score) // _MAX_COMPARED)
         if step > 1:
             before = _Boxes(before.xyxy_px[::step], before.score[::step], before.class_id[::step])

@@ -116,6 +116,8 @@ class DeepSortTracker:
         self._last_s = -np.inf
         self._step_s = self._shortest_step_s = np.inf  # time between the last two frames, and between any two
         self._last_detected_s = -np.inf  # the last frame with any detection: skipped frames are not misses
+        # the boxes of that frame, and the tracks that they continue; 0 = none
+        self._last_xyxy_px, self._last_ids = np.zeros((0, 4)), np.zeros(0, np.int64)
         self._outermost_px = np.full(4, -np.inf)  # edges of the boxes in the output so far, outwards
 
     def update(self, detections: Detections, time_s: float, image: Image | None) -> Tracks:
@@ -129,11 +131,11 @@ class DeepSortTracker:
         is_valid = are_valid_boxes(detections.xyxy_px) & (detections.score >= self._settings.min_score)
         if not is_valid.all():
             detections = detections.select(is_valid)
-        self._activation_threshold.update(detections)
+        self._predict(detections, time_s, image)
+        self._activation_threshold.update(detections, self._moved())
         is_high = detections.score >= self.track_activation_threshold(detections.class_id)
         detections, max_cosine_distance = self._with_embeddings(detections, is_high, image)
 
-        self._predict(detections, time_s, image)
         tracks, matched = self._associate(detections, is_high, max_cosine_distance).pairs()
         self._update_matched(tracks, detections, matched, time_s)
         is_high[matched] = False
@@ -142,6 +144,8 @@ class DeepSortTracker:
         self._last_s = time_s
         if len(detections):
             self._last_detected_s = time_s
+            self._last_xyxy_px, self._last_ids = detections.xyxy_px.copy(), np.zeros(len(detections), np.int64)
+            self._last_ids[matched] = self._table.track_id[tracks]
         return self._output(time_s, image)
 
     @property
@@ -196,6 +200,18 @@ class DeepSortTracker:
         self._shortest_step_s = min(self._shortest_step_s, dt_s)
         if len(table):
             table.filters = motion.predict(table.filters, dt_s, settings.noise, noise_scale=self._noise_scale.value)
+
+    def _moved(self) -> FloatArray:
+        """(M, 4) the boxes of the last frame with any; tracked ones that move by over a third of their size, predicted.
+
+        These would have an IoU of at most 1/2 with themselves in this frame, without any error.
+        """
+        boxes_px = self._last_xyxy_px
+        _, rows, boxes = np.intersect1d(self._table.track_id, self._last_ids, return_indices=True)
+        before, now = motion.cxcywh(boxes_px[boxes]), motion.cxcywh(self._table.filters.xyxy_px[rows])
+        is_far = (np.abs(now - before)[:, :2] > before[:, 2:] / 3).any(axis=1)
+        boxes_px[boxes[is_far]] = self._table.filters.xyxy_px[rows[is_far]]
+        return boxes_px
 
     def _is_streak(self, time_s: float) -> BoolArray:
         """(N,) whether a track was detected in the last frame with any detection, at most `max_skipped_s` ago.

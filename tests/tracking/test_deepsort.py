@@ -85,7 +85,17 @@ def test_threshold_without_overlap_between_frames() -> None:
     tracker = DeepSortTracker()
     for i in range(40):
         tracker.update(both(*(car_at(200 * k + 70 * (i % 3), score=0.8) for k in range(3))), 0.5 * i, None)
-    assert tracker.track_activation_threshold(np.array([CAR])).tolist() == [0.4]
+    assert tracker.track_activation_threshold(np.array([CAR]))[0] == pytest.approx(0.4)
+
+
+def test_fast_tracks_persist() -> None:
+    """People beside the road move by 0.8 of their width per frame, which does not make their scores unreliable."""
+    tracker = DeepSortTracker()
+    for i in range(40):
+        x, y = np.repeat([16.0 * i, 500.0], [3, 5]), 100.0 * np.arange(8)
+        boxes = np.stack([x, y, x + 20, y + 50], axis=1)
+        tracker.update(Detections.of(boxes, [0.95] * 3 + [0.75] * 5, [PERSON] * 8), 0.1 * i, None)
+    assert tracker.track_activation_threshold(np.array([PERSON]))[0] == pytest.approx(0.4, abs=0.05)
 
 
 def test_tentative_track_matches_widened_box() -> None:
