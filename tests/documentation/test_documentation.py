@@ -106,7 +106,7 @@ def test_python_blocks_compile(page):
 def test_linked_files_exist(page):
     folder = (PROJECT / page).parent
     links = [link for link in re.findall(r"\]\(([^)#]+)[^)]*\)", PAGES[page]) if not link.startswith("http")]
-    assert [link for link in links if not (folder / link).exists()] == []
+    assert [link for link in links if not (folder / link).exists() or not (folder / link).stat().st_size] == []
 
 
 def test_figures_of_the_readme_are_those_of_their_protocol():
