@@ -213,7 +213,9 @@ def main() -> None:
         arguments = ["run", *arguments]
     try:
         if arguments and arguments[0] not in COMMANDS:
-            arguments = _with_option(arguments)
+            from track_range.cli.bare_recordings import run_of_recordings
+
+            arguments = run_of_recordings(arguments, PROGRAM)
         app(arguments, prog_name=PROGRAM)
     except SystemExit as ended:
         if ended.code != 130:  # the shell's status for Ctrl-C
@@ -261,16 +263,6 @@ def _exit_if_full(error: Exception) -> None:
 def _is_run(arguments: list[str]) -> bool:
     """Whether the arguments are options of `run`, given without its name."""
     return bool(arguments) and arguments[0].startswith("-") and not arguments[0].startswith(_ROOT_OPTIONS)
-
-
-def _with_option(arguments: list[str]) -> list[str]:
-    """Arguments with `run --mono` before a single recording, after printing the command."""
-    from track_range.cli.bare_recordings import run_of_recordings
-
-    run = run_of_recordings(arguments)
-    if run is not None:
-        typer.echo(f"{PROGRAM} {shlex.join(run[1:])}", err=True)
-    return run or arguments
 
 
 def _print_error(message: str) -> None:

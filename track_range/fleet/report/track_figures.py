@@ -20,6 +20,7 @@ import numpy as np
 from track_range.detection.classes import STATIC_CLASSES
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.evaluation.errors import BANDS_M
+from track_range.results.approaches import reference_distance
 from track_range.results.columns import distance_names
 
 if TYPE_CHECKING:
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 N_RANKED = 20  # number of tracks in a ranking
 EDGES_M = (0.0, *BANDS_M, float("inf"))  # edges of the distance bands: those of the evaluation, and all other distances
 _MAX_RELATIVE_SIGMA = 0.5  # largest standard deviation of a ranked distance or time to collision, relative to it
-_REFERENCES = ("fused_kf", "fused")  # distances that give the band and the closest approach, the first that a row has
 _MAX_NUMBER = 1e12  # limit of track numbers, and of times in s
 
 _NEEDED = ("time_s", "track_id", "class")
@@ -125,11 +125,7 @@ class _Rows:
         counts = np.bincount(self.track * len(names) + codes, minlength=n_cells).reshape(-1, len(names))
         self.class_of_track = [names[code] for code in counts.argmax(axis=1)]  # the most frequent one
 
-        self.distance_m, self.sigma_m = self._unknown, self._unknown
-        for method in _REFERENCES:
-            is_new = np.isnan(self.distance_m)
-            self.distance_m = np.where(is_new, self._column(f"{method}_m"), self.distance_m)
-            self.sigma_m = np.where(is_new, self._column(f"{method}_sigma_m"), self.sigma_m)
+        self.distance_m, self.sigma_m = reference_distance(self._columns)
 
     def _column(self, name: str) -> FloatArray:
         return self._columns.get(name, self._unknown)

@@ -34,7 +34,7 @@ from track_range.views.report.content.errors import calibration_curves, error_cu
 from track_range.views.report.content.events import clips_of, event_records, hidden_events_note, shown_events
 from track_range.views.report.content.road import box_columns, camera_of_rows, road_columns, uncalibrated_video
 from track_range.views.report.content.series import timeline, track_records
-from track_range.views.report.tables import accuracy_grids, mot_grid, speed_grids, stage_bars
+from track_range.views.report.tables import accuracy_grids, mot_grid, speed_grids
 
 _SCRIPTS = (  # in the order of their execution
     *("elements", "theme_and_tables", "drawing", "tracks", "birds_eye"),
@@ -121,7 +121,6 @@ def report_page(
         truth=summary.get("truth"),
         accuracy=accuracy,
         speed=speed,
-        stages=stage_bars(summary),
         mot=mot,
         mot_classes=tracks.get("classes") or [],
         sigma_sentences=sentences.sigma_sentences(summary),

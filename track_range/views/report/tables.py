@@ -223,7 +223,8 @@ def speed_grids(summary: Summary) -> list[Grid]:
 
 def speed_grid(summary: Summary) -> Grid:
     """Rows of stages that ran, in processor time (detection and background in wall-clock time), and of the run."""
-    stages = stages_that_ran(summary)
+    stages_ms = summary.get("stages_ms") or {}
+    stages = {name: ms for name in stages_ms if (ms := figure(stages_ms, name))}
     fps = frames_per_s(summary)
     if fps:
         stages["whole run"] = 1000.0 / fps
@@ -232,21 +233,6 @@ def speed_grid(summary: Summary) -> Grid:
         Column("frames/s", [1000.0 / ms for ms in stages.values()]),
     ]
     return grid_of("Run time by stage (stages overlap)", "stage", list(stages), columns)
-
-
-def stages_that_ran(summary: Summary) -> dict[str, float]:
-    """Run time of each stage that ran, in ms per frame."""
-    stages_ms = summary.get("stages_ms") or {}
-    return {name: ms for name in stages_ms if (ms := figure(stages_ms, name))}
-
-
-def stage_bars(summary: Summary) -> list[dict[str, Any]]:
-    """Run time of each stage in ms per frame, and in per cent of the longest stage."""
-    stages = stages_that_ran(summary)
-    longest = max(stages.values(), default=1.0)
-    return [
-        {"name": name, "text": f"{ms:.1f}", "fraction_pct": round(100 * ms / longest, 1)} for name, ms in stages.items()
-    ]
 
 
 def frames_per_s(summary: Summary) -> float | None:

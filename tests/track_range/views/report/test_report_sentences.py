@@ -12,7 +12,7 @@ from track_range.views.report.sentences import (
     run_name,
     sigma_sentences,
 )
-from track_range.views.report.tables import accuracy_grids, mot_grid, speed_grids, stage_bars
+from track_range.views.report.tables import accuracy_grids, mot_grid
 
 
 def row(median_pct: float | None, **more: Any) -> dict[str, Any]:
@@ -121,15 +121,6 @@ def test_errors_by_class() -> None:
 def test_tracking_metrics() -> None:
     grid = mot_grid({"n": 3, "hota": 52.06, "idsw": 5, "mota": None, "classes": ["car"]})
     assert texts(grid) == [["HOTA %", "52.1"], ["ID switches", "5"]]
-
-
-def test_stage_bars() -> None:
-    summary = {"stages_ms": {"read": 2.0, "detect": 8.0, "lane": 0.0, "sgbm": None}}
-    assert stage_bars(summary) == [
-        {"name": "read", "text": "2.0", "fraction_pct": 25.0},
-        {"name": "detect", "text": "8.0", "fraction_pct": 100.0},
-    ]
-    assert stage_bars({}) == speed_grids({}) == []
 
 
 def test_name_of_a_run_on_several_files() -> None:
