@@ -20,6 +20,7 @@ class PipelineKeywords(TypedDict, total=False):
     detector: str | Path | ObjectDetector | None
     classes: str | Sequence[str] | None
     min_score: str | float | None
+    ignore: str | Path | None
     names: str | Path | Sequence[str] | None
     anchors: str | None
     letterbox: str | None

@@ -40,6 +40,7 @@ from track_range.results.events.finder import EventFinder
 from track_range.results.table import RecentRows
 from track_range.run.box_source import boxes_of, network_source
 from track_range.run.build import open_pipeline
+from track_range.run.ignored import outside_regions
 from track_range.run.options.opened import open_detector
 from track_range.run.ready_model import ready_model
 from track_range.run.settings import PipelineOptions, RunSettings
@@ -278,7 +279,7 @@ class Pipeline:
         stages = open_pipeline(
             self.options,
             aligned,
-            self._boxes,
+            outside_regions(self._boxes, self.options.ignore, calibration),
             self._size_model,
             region=self.options.region or "unknown",
             tracker=self._tracker,

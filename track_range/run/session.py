@@ -50,6 +50,7 @@ from track_range.results.writers import RunInfo
 from track_range.run.box_source import boxes_of, open_box_source
 from track_range.run.build import open_input, open_pipeline
 from track_range.run.findings import Findings
+from track_range.run.ignored import outside_regions, still_boxes_note
 from track_range.run.options.opened import DetectorOptions
 from track_range.run.pictures import missing_outputs
 from track_range.run.progress import step_progress
@@ -109,6 +110,8 @@ class RunSession:
             else:  # an object may depend on the order of the frames, so that it cannot look ahead
                 models = partial(ready_model, console=console)
                 self.box_source = open_box_source(settings, self.recording, models, open_detector)
+            self.box_source = outside_regions(self.box_source, settings.ignore, self.recording.calibration)
+            if detector is None:
                 self._estimate_focal_length(shapes, progress)
             calibration, path = self.recording.calibration, settings.truth
             shift_m = calibration.left_from_reference_m
@@ -302,6 +305,7 @@ class RunSession:
         matched = None if self.truth is None else matched_truth(columns, self.truth)
         detect = None if self.box_source.prepare is None else self.box_source.detect
         self.frame_notes = (*self._notes_on_frames(columns), *self.findings.notes(detect, recording.rig))
+        self.frame_notes += still_boxes_note(columns, calibration)
         busy_s = {**pipeline.clock.busy_s, "read": recording.busy_s}
         summary = {
             "frames": n_frames,

@@ -138,6 +138,15 @@ class DetectionOptions(Options):
             instead="recorded detections belong to a clip; give them in the column detections of a manifest",
         ),
     ] = None
+    ignore: Annotated[
+        str | None,
+        option(
+            "Regions of the image whose boxes are dropped, such as the bonnet and overlay text: polygons in pixels of "
+            "the video, or a mask image of its size, white in the regions; a box is dropped if most of it is inside.",
+            metavar="'x,y x,y x,y / ...'|MASK.png",
+            is_file=True,
+        ),
+    ] = None
     names: NamesField = None
     anchors: AnchorsField = None
     letterbox: LetterboxField = None
