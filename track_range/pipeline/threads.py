@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
+from threading import Semaphore
 from typing import TypeVar
 
 from track_range.foundation.prefetch import prefetch
@@ -19,6 +20,7 @@ from track_range.pipeline.stages import Detected, Prepared
 from track_range.stereo.geometry.frames import Frame
 
 _T = TypeVar("_T")
+_UNLIMITED = 1000  # number of frames that are never in progress
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,9 +30,11 @@ class QueueDepths:
     read: int = 4  # decoded frames that wait for the lane detector
     lanes: int = 2  # frames with lane lines, in the network's input, that wait for the network
     detected: int = 2  # frames with boxes that wait for the caller
+    in_progress: int = _UNLIMITED  # frames between reading and their result
 
 
-LIVE_DEPTHS = QueueDepths(read=1, lanes=1, detected=1)  # for cameras, to reduce latency
+# For cameras, to reduce latency: one frame is with the network, and one with the caller or on its way to the network.
+LIVE_DEPTHS = QueueDepths(read=1, lanes=1, detected=1, in_progress=2)
 
 
 def run_in_threads(
@@ -38,6 +42,8 @@ def run_in_threads(
 ) -> Generator[FrameResult, None, None]:
     """Results of the frames in order; closing the generator ends the threads and the pipeline."""
     depths = depths or QueueDepths()
+    slots = Semaphore(depths.in_progress)
+    frames = _admitted(frames, slots)
     with ExitStack() as stack:
         # closed in reverse order: the last thread first, so that no thread reads from a closed video; rangers last
         stack.callback(pipeline.close)
@@ -50,8 +56,20 @@ def run_in_threads(
         if pipeline.detection.lane_finder is not None:
             frames, depth = in_thread(frames, depth, "read", low_priority=True), depths.lanes
         prepared = in_thread(_prepared(pipeline, frames), depth, "prepare", low_priority=True)
-        for detected in in_thread(_detected(pipeline, prepared), depths.detected, "detect", low_priority=False):
-            yield pipeline.step(detected)
+        results = in_thread(_detected(pipeline, prepared), depths.detected, "detect", low_priority=False)
+        stack.callback(slots.release, _UNLIMITED)  # first at the end, so that no thread waits for a slot
+        for detected in results:
+            result = pipeline.step(detected)
+            slots.release()
+            yield result
+
+
+def _admitted(frames: Iterable[Frame], slots: Semaphore) -> Iterator[Frame]:
+    """The frames, each of which is read when there is a slot for it."""
+    slots.acquire()
+    for frame in frames:
+        yield frame
+        slots.acquire()
 
 
 def _prepared(pipeline: FramePipeline, frames: Iterable[Frame]) -> Iterator[Prepared]:

@@ -1,5 +1,7 @@
 """The pipeline on synthetic frames: order, errors in threads, and content of results."""
 
+import itertools
+import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +12,7 @@ from track_range.detection.detector import DetectorError
 from track_range.detection.lanes.lines import LaneLine, LaneLines
 from track_range.pipeline.frame_pipeline import FramePipeline
 from track_range.pipeline.stages import DetectionStage, RangingStage
-from track_range.pipeline.threads import run_in_threads
+from track_range.pipeline.threads import LIVE_DEPTHS, run_in_threads
 from track_range.ranging.method import MethodError, Ranger
 from track_range.ranging.methods.ground_plane import GroundRanger
 from track_range.ranging.methods.patch_stereo import StereoRanger
@@ -331,3 +333,20 @@ def test_a_ranger_alone_gives_what_it_gives_in_the_pipeline_at_the_same_scale():
         scale = scale.after(evidence, frame.time_s)
     assert loop.scale.n_tracks == 6
     assert abs(scale.bias_of("car").log_factor) > 0.01
+
+
+def test_two_frames_of_a_camera_are_in_progress():
+    """The newest image is read when there is a slot for it, and not to wait in a queue."""
+    taken = []
+
+    def images():
+        for frame in frames(100):
+            taken.append(frame.index)
+            yield frame
+
+    run = run_in_threads(pipeline(), images(), LIVE_DEPTHS)
+    for number, _ in enumerate(itertools.islice(run, 10), 1):
+        time.sleep(0.005)  # the threads run ahead as far as they may
+        assert len(taken) <= number + LIVE_DEPTHS.in_progress
+    run.close()  # does not wait for a slot
+    assert len(taken) <= 20
