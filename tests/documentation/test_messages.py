@@ -23,6 +23,9 @@ def test_quoted_messages_exist():
     quoted = [row.split("|")[1] for table in tables for row in table.splitlines()]
     assert len(quoted) > 80
     texts = program_texts()
+    examples = re.findall(r"^track-range: \S+: ([^\d;]+)", page, re.MULTILINE)
+    assert len(examples) == 3
+    assert [example for example in examples if plain(example) not in texts] == []
     parts = [part.strip(" .") for quote in quoted for part in map(plain, quote.split("..."))]
     assert [part for part in parts if part not in texts] == []
     assert "words that no message has" not in texts
