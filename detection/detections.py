@@ -103,7 +103,7 @@ class Detections:
     def from_coco(
         cls, xyxy_px: npt.ArrayLike, score: npt.ArrayLike, coco_class_id: npt.ArrayLike, *, n_ids: Literal[80, 91] = 80
     ) -> Detections:
-        """The detections of road classes among those of a network that was trained on COCO.
+        """The detections of road classes from a network that was trained on COCO.
 
         Example:
             >>> import track_range as tr

@@ -101,7 +101,7 @@ class DeepSortTracker:
         """Create a tracker without tracks.
 
         `appearance_model` computes embeddings where there are images and the detections have none; None = no appearance
-        there. `flow` is that of the background, which the odometry of the stream may use too; None = a separate one.
+        there. `flow` tracks the background, also for the odometry of the stream; None = a separate one.
         `camera_motion` estimates the motion of the background from the images; None = from `flow`.
         """
         self._settings = settings = settings or DeepSortSettings()
@@ -329,7 +329,7 @@ class DeepSortTracker:
         return Tracks(table.track_id[rows], boxes_px, table.class_id[rows], score[rows], is_detected[rows])
 
     def _as_tracks(self, rows: IntArray, is_detected: BoolArray) -> Tracks:
-        """The tracks in these rows, of those detected in this frame (N,), with the detected boxes."""
+        """The tracks in these rows of the tracks detected in this frame (N,), with the detected boxes."""
         table = self._table
         boxes_px = table.history.last_xyxy_px.take(rows, axis=0)
         return Tracks(table.track_id[rows], boxes_px, table.class_id[rows], table.score[rows], is_detected[rows])

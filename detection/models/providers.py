@@ -1,4 +1,4 @@
-"""Sessions of onnxruntime on any of its execution providers, those of separate packages included."""
+"""Sessions of onnxruntime on any of its execution providers, including separate packages."""
 
 import io
 from contextlib import redirect_stdout, suppress
@@ -30,7 +30,7 @@ class OpenedSession(NamedTuple):
 
 
 def open_session(path: Path, device: Device, n_threads: int) -> OpenedSession:
-    """A session on `device`, or on the next that works: CUDA after TensorRT, the CPU after all others.
+    """A session on `device`, or on the next one that works: CUDA after TensorRT, the CPU last.
 
     `n_threads` is the number of CPU threads; 0 = one per core. Errors of the CPU's session are raised as they are.
     """

@@ -117,7 +117,7 @@ def convert_fp16(path: Path, out: Path) -> None:
 
 
 def calibration_images(folder: Path, measured: frozenset[Path]) -> tuple[list[Path], list[Path]]:
-    """Images for calibration, and the others; labelled images are used for calibration only if there are no others."""
+    """Images for calibration, and the rest; labelled images are used for calibration only if all are labelled."""
     paths = images_in(folder)
     pool = [path for path in paths if path not in measured] or paths
     n = min(N_CALIBRATION, len(paths) // 2)

@@ -304,7 +304,7 @@ class Training:
 
 
 def _same_shapes(own: Mapping[str, Tensor], saved: Mapping[str, Tensor]) -> bool:
-    """Whether there are weights, and a checkpoint has all of them with the same shapes."""
+    """Whether a checkpoint has all weights (at least one) with the same shapes."""
     return bool(own) and all(name in saved and saved[name].shape == value.shape for name, value in own.items())
 
 

@@ -149,7 +149,7 @@ def _activated(values: FloatArray32, activation: Activation) -> FloatArray | Flo
 
 @dataclass(frozen=True, slots=True)
 class GridCells:
-    """The grid cells of N boxes: grid by grid, in each anchor by anchor, row by row."""
+    """The grid cells of N boxes, ordered by grid, anchor and row."""
 
     column_row: FloatArray  # (N, 2)
     stride_px: FloatArray  # (N, 2) size of the cell in x and y

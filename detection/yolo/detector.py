@@ -221,7 +221,7 @@ class YoloDetector:
         """Write `image` into an input of the network, and return the function that detects the road users in it.
 
         The function must be called once, in the order of the images, in the thread of the other methods. Another thread
-        may prepare images meanwhile; the image of `fill` remains as it is. Images and errors: see `fill`.
+        may prepare images meanwhile; the image of `fill` does not change. Images and errors: see `fill`.
         """
         return partial(self._detect_prepared, *self._written(image))
 

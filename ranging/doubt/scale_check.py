@@ -185,8 +185,8 @@ class ScaleCheck:
     ) -> None:
         """Add a frame: distances by size (without the correction of the drive's scale) and by stereo of its tracks.
 
-        `road` is the road in the frame. The speed of the camera is that of stereo odometry, that of the motion of the
-        road with the height `road_height_m`, and that which was given; None = unknown.
+        `road` is the road in the frame. The speed of the camera comes from stereo odometry, from the motion of the road
+        with the height `road_height_m`, and from the user; None = unknown.
         """
         self._add(tracks, by_size, stereo, road)
         if self._shapes is not None:

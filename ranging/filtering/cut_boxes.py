@@ -2,7 +2,7 @@ r"""CutBoxes: boxes cut by the left or right image border, on whose objects the 
 
       __               The ray through the middle of the box, with the bearing b (x / z), meets the side of the object
      |  | z_f          at the distance d. While the object passes, the ray slides along it, so that d hardly changes.
-     |  |              The free edge, with the bearing b_f, is that of the far end at z_f, a fixed point of the object.
+     |  |              The free edge, with the bearing b_f, belongs to the far end at z_f, a fixed point of the object.
      |__| d            The inverse depth is linear in the bearing along a side:
 
            o camera        z_f = d / (1 - k q)      q = 1 - b_f / b      k = b / (b - tan theta)

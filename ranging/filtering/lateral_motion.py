@@ -110,7 +110,7 @@ class LateralFilters:
     ) -> LateralMotion:
         """Lateral motion of N tracks after the measurements of a frame, not earlier than the previous one.
 
-        Predicted boxes and those truncated at the left or right border are not measured. The distances z (N,), NaN =
+        Predicted boxes and boxes truncated at the left or right border are not measured. The distances z (N,), NaN =
         unknown, have standard deviations of the errors that change from frame to frame. `yaw_rad_s` is the camera's yaw
         rate w, positive = to the right, NaN = unknown; `own_mps` (N,) the objects' own speed z' + V, 0 = unknown.
         """

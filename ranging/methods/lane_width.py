@@ -12,7 +12,7 @@ ones in between. The contact point belongs to the nearest surface, or to tyres b
 
 W has a prior by region and road, and is learnt from the distances d_i of the tracks by another method:
 
-    log (w_i d_i / fx) = log W + b + e_i        b: error that all d_i share, e_i: that of the track (its size)
+    log (w_i d_i / fx) = log W + b + e_i        b: error that all d_i share, e_i: error of the track (its size)
 
 A track counts once, and the width that ranges a track is learnt from other tracks, since its own width would repeat
 d_i. Where d_i are distances by size, b is the error of the drive (`DriveScale`): the prior of W keeps a part of its
@@ -185,8 +185,8 @@ class LaneWidthRanger(Ranger):
     ) -> tuple[FloatArray, FloatArray]:
         """(N,) log width and its sigma for each of the tracks of the frame, from the other tracks; inf = not a lane.
 
-        The tracks in the mask `own` (N,) are the first of those known, and left out for themselves. Sets `lane` to the
-        estimate from all tracks.
+        The tracks in the mask `own` (N,) are the first of the known tracks, and are left out for themselves. Sets
+        `lane` to the estimate from all tracks.
         """
         _, z, variance, seen_s = self._tracks.known
         unweighted = weight = np.exp((seen_s - time_s) / _MEMORY_S) / variance
@@ -276,7 +276,7 @@ def inflated_by_disagreement(ranges: Ranges, others: Sequence[Ranges]) -> Ranges
 
     If the lines belong to another lane, or are no lane lines, all distances of a frame are wrong by the same factor,
     which the sigma of the lines does not contain. With e_i the log ratio of the other distance with the smallest sigma
-    to that by lane width, and s_i its standard deviation, the common error is estimated as
+    to the distance by lane width, and s_i its standard deviation, the common error is estimated as
 
         max(|median e| - 1.25 (sum 1 / s_i^2)^-1/2, 0)
 

@@ -8,7 +8,7 @@ the inverse compositional algorithm (Baker and Matthews, Lucas-Kanade 20 years o
     s <- s / (1 + ds),   t <- t - s dt              s: width and height now / those in the key frame
 
 First only t is estimated, on the next coarser level. Points that a nearer box covers, in the key frame or now, and
-those outside the image have no weight. The covariance of log s follows from least squares, with floors for other
+points outside the image have no weight. The covariance of log s follows from least squares, with floors for other
 errors:
 
     cov log s = (_FIT r)^2 (A^T W A)^-1 / g^2 + diag(_FLOOR_PX / half extent)^2 + (_DEPTH log s)^2

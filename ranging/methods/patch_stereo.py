@@ -62,7 +62,8 @@ class StereoRanger(Ranger):
         Args:
             rig: the rectified pair (`Recording.rig`, `Rectifier.rig`).
             matcher: matcher of boxes; None = the patch matcher with the settings for this rig.
-            alignment: correction of the disparities; None = that of the rig, which `open_recording` has estimated.
+            alignment: correction of the disparities; None = the alignment of the rig, which `open_recording` has
+            estimated.
 
         Raises ValueError: the rig is not rectified.
         """

@@ -55,7 +55,7 @@ class SizeCurves:
     """Size model with a log-linear curve per class."""
 
     def __init__(self, whole: Mapping[str, SizeCurve], height_only: Mapping[str, SizeCurve]) -> None:
-        """Create a model from curves by size class, for whole boxes and for those truncated at a side.
+        """Create a model from curves by size class, for whole boxes and for boxes truncated at a side.
 
         Boxes of other classes are not ranged (NaN).
         """

@@ -73,7 +73,7 @@ class SizePrior(BodySizes):
     Attributes:
         turn_weights: probability of each yaw in `YAW_DEG`; they sum to 1.
         log_distance: mean and standard deviation of log distance, in metres.
-        offset: mean of the log height and log width of boxes minus those of the cuboid.
+        offset: mean of the log height and log width of boxes minus the values of the cuboid.
         scatter: standard deviations about `offset`, from shapes that are not cuboids (mirrors, swinging arms).
         stands: whether objects of the class are on the road.
         n_boxes: number of labels that the prior was fitted to; 0 = a standard size.

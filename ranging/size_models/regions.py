@@ -10,7 +10,7 @@ who draw boxes differ. In an unknown region, the deviation of the regions from t
 Cars and people have one Gaussian with the moments of the mixture, in whose covariance the aspect ratio of a box depends
 on its type; other classes keep the types as components (`SizePrior.bodies`), whose heights differ more.
 
-Sizes are those of frequent models. Fractions in North America: EPA, Automotive Trends Report (production by type, model
+Sizes are sizes of frequent models. Fractions in North America: EPA, Automotive Trends Report (production by type, model
 years 2008 to 2018); in East Asia: our estimate from sales of Japan, China and Singapore. Heights of people: NCD-RisC,
 A century of trends in adult human height, eLife 2016, with shoes and some children.
 """

@@ -31,7 +31,7 @@ _Real = TypeVar("_Real", float, FloatArray)
 class GroundPrior:
     """Prior of the ground plane; the names of the attributes are keys of curve files.
 
-    The last four are larger than those measured, since neighbouring objects have correlated heights.
+    The last four are larger than the measured values, since neighbouring objects have correlated heights.
     """
 
     camera_height_m: Annotated[Number, Field(ge=0.05, le=100)] = 1.5  # mean of the camera height H above the road

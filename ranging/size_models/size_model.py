@@ -150,7 +150,7 @@ class BoxNoise:
     """Noise of box edges: independent errors with a standard deviation of hypot(px, relative * size).
 
     The edges of a good detector (RRC on KITTI) have an error of half a pixel on small boxes, 1-2 % of the height of
-    large vehicles, and 4 % of that of people, whose limbs move and are labelled inconsistently.
+    large vehicles, and 4 % of the height of people, whose limbs move and are labelled inconsistently.
     """
 
     px: float = 0.35

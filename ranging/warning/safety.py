@@ -53,7 +53,7 @@ class SafetyMeasures:
 
     Attributes:
         gap_m: distance from the front of the ego vehicle, at least 0, of all tracks.
-        ttc_front_s: TTC of those that close in with more than two sigmas.
+        ttc_front_s: TTC of road users that close in with more than two sigmas.
         headway_s: gap over ego speed.
         drac_mps2: deceleration that avoids a contact.
         mdrac_mps2: the same after the reaction time.

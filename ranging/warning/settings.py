@@ -44,7 +44,7 @@ class WarningSettings:
         manoeuvre_s: time constant with which accelerations end.
         acceleration_mps2: standard deviation of the relative acceleration until contact.
         person_acceleration_mps2: standard deviation of the lateral acceleration of people.
-        vehicle_acceleration_mps2: that of all others.
+        vehicle_acceleration_mps2: the same of all other road users.
         min_deceleration_mps2: an alarm requires that at least this deceleration is needed after `reaction_s`, more than
             in normal driving.
         reaction_s: time before the driver brakes.

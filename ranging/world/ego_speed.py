@@ -179,7 +179,7 @@ def _from_comma(folder: Path) -> EgoSpeed:
             "missing or damaged ones."
         ) from error
     if not len(frame_s) or len(time_s) != len(speed_mps) or not (np.diff(time_s) > 0).all():
-        raise EgoSpeedError(f"{folder}: expected increasing times with one speed each, found others.")
+        raise EgoSpeedError(f"{folder}: expected increasing times with one speed each, found other values.")
     return EgoSpeed(time_s - frame_s[0], _plausible(speed_mps, str(folder)), folder.name)
 
 

@@ -65,7 +65,7 @@ def fit_reference(
 
     Arrays are (N,): disparities of a matcher, true ones, columns in the image of the rectified left camera, and groups
     (frame, pair or object) within which errors may be correlated. `sigma_px` (N,) are standard deviations of the
-    matcher, excluded from the residual, None = zeros; `seed` is that of the resampling.
+    matcher, excluded from the residual, None = zeros; `seed` is for the resampling.
     Raises RigError if fewer than five objects are usable.
     """
     with np.errstate(invalid="ignore"):  # NaN compares as False: not usable

@@ -214,9 +214,9 @@ def _check_consistency(single_px: float, fits: Sequence[PairFit]) -> None:
     common_px = math.sqrt(np.mean([fit.rms_px**2 for fit in fits]))
     if common_px > max(_MAX_RMS_RATIO * single_px, 1.0):
         raise CalibrationError(
-            f"left and right images do not match: expected a residual similar to that of the single cameras, "
-            f"{single_px:.2f} px, got {common_px:.2f} px; check that the images of a pair are simultaneous and "
-            "that neither camera is upside down."
+            "left and right images do not match: expected a residual similar to the single cameras' residual, "
+            f"{single_px:.2f} px, got {common_px:.2f} px; check that the images of a pair are simultaneous and that "
+            "neither camera is upside down."
         )
 
 

@@ -109,8 +109,8 @@ class Rectifier(_UndistortedImages):
             right_correction: (3, 3) matrix from directions in the rectified right image to corrected ones; None = no
                 correction.
             shift_px: horizontal shift of the right image to the left, which increases all disparities.
-            fov_deg: horizontal field of view to which the images of wide lenses are undistorted; None = that of the
-                left lens, up to 120 degrees.
+            fov_deg: horizontal field of view to which the images of wide lenses are undistorted; None = the left
+            lens's, up to 120 degrees.
             is_turned: whether both videos are turned by 180 degrees against the rig.
             source: file of the rig, for messages.
 
@@ -136,7 +136,7 @@ class Rectifier(_UndistortedImages):
         """Both images, (H, W) or (H, W, 3), rectified; the same arrays if the rig is already rectified.
 
         A remapped right image is grey and computed only where it is read. Pixels outside a camera's view are black.
-        Raises ValueError if the size of an image differs from that of its camera.
+        Raises ValueError if the size of an image differs from its camera's.
         """
         _check_size(left, self.recorded_size_px, "left")
         _check_size(right, self._right_size_px, "right")
@@ -184,8 +184,8 @@ class RemappedView:
 class Undistorter(_UndistortedImages):
     """Removes the lens distortion from the images of one camera.
 
-    The images of a wide lens are undistorted to the horizontal field of view `fov_deg`, None = that of the lens, up to
-    120 degrees, about an axis `yaw_deg` to the right of the camera's. The attribute `camera` is the ideal camera of the
+    The images of a wide lens are undistorted to the horizontal field of view `fov_deg`, None = the lens's, up to 120
+    degrees, about an axis `yaw_deg` to the right of the camera's. The attribute `camera` is the ideal camera of the
     undistorted images: with the matrix of the distorted one, but square pixels; of a wide lens its virtual pinhole.
     """
 
@@ -199,7 +199,7 @@ class Undistorter(_UndistortedImages):
     def undistort(self, image: Image) -> Image:
         """The image, (H, W) or (H, W, 3), without distortion; the same array if the camera has none.
 
-        Raises ValueError if the size of the image differs from that of the camera.
+        Raises ValueError if the size of the image differs from the camera's.
         """
         _check_size(image, self.recorded_size_px, "image")
         return image if self._maps is None else _remapped(image, self._maps)
@@ -266,8 +266,8 @@ def stereo_rectification(
 
     These are the rotations (3, 3) and projections (3, 4) of the rectified cameras, and Q (4, 4), as in OpenCV.
     Unequal cameras are rectified to the field of view and the resolution of the left one: OpenCV knows one image size,
-    and would cut both images to what the narrower camera sees. So are pairs with wide lenses, to the left one's virtual
-    pinhole with the horizontal field of view `fov_deg`, None = that of the lens up to 120 degrees.
+    and would cut both images to what the narrower camera sees. Pairs with wide lenses are rectified to the left lens's
+    virtual pinhole with the horizontal field of view `fov_deg`, None = the lens's up to 120 degrees.
     """
     if rig.left.is_wide or rig.right.is_wide:
         return _wide_rectification(rig, fov_deg)

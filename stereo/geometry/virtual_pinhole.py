@@ -74,7 +74,7 @@ def view_from_camera(yaw_deg: float) -> FloatArray:
 def virtual_pinhole(camera: PinholeCamera, fov_deg: float | None = None, yaw_deg: float = 0.0) -> PinholeCamera:
     """The ideal pinhole with the resolution of a wide camera on its axis, and an even image size.
 
-    `fov_deg` is the horizontal field of view within `FOV_LIMITS_DEG`, None = that of the lens up to the largest; what
+    `fov_deg` is the horizontal field of view within `FOV_LIMITS_DEG`, None = the lens's up to the largest; what
     the lens does not image on one side is left out. `yaw_deg` is the direction of the pinhole's axis, to the right of
     the camera's. Raises RigError if the lens images hardly anything there.
     """

@@ -73,8 +73,8 @@ class OtherBoxes:
     ) -> FloatArray:
         """(N, G) 1 = the window belongs to another box, which is expected to be nearer or farther; 0 = it does not.
 
-        `expected_px` (N,) are the expected disparities of the boxes, NaN = unknown; `disparity_px` (N, G) those of the
-        windows, px of the image.
+        `expected_px` (N,) are the expected disparities of the boxes, NaN = unknown; `disparity_px` (N, G) the
+        disparities of the windows, px of the image.
         """
         size_px, centre_px = xyxy_px[:, 2:] - xyxy_px[:, :2], (xyxy_px[:, :2] + xyxy_px[:, 2:]) / 2
         x_px = centre_px[:, :1] + tiles.u * size_px[:, :1]
@@ -100,7 +100,7 @@ def features(
     """Phi, by name: (S, N) each.
 
     `cost` (N, G) are the costs of the windows' minima, bits per pixel; `track_px` (N,) the last matches of the tracks,
-    NaN = none; `others_fraction` (N, G) is that of `OtherBoxes.windows`.
+    NaN = none; `others_fraction` (N, G) comes from `OtherBoxes.windows`.
     """
     u, v, used = tiles.u, tiles.v, tiles.is_used
     n_boxes, n_windows = u.shape

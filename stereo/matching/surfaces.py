@@ -1,8 +1,8 @@
 """The surfaces that a box shows, of the object and in front of and behind it: groups of windows on a plane.
 
-Windows vote for a disparity: the support of a window is the number of windows that agree with it, those in the lower
-middle of the box counting most. The window with the largest support is the first surface; a plane through the windows
-that agree with it decides which windows belong to it. The remaining windows vote again, for the next surface.
+Windows vote for a disparity: the support of a window is the number of windows that agree with it; windows in the lower
+middle of the box count most. The window with the largest support is the first surface; a plane through the windows that
+agree with it decides which windows belong to it. The remaining windows vote again, for the next surface.
 
     d(u, v) = p0 + p1 u + p2 v + p3 u^2 + p4 v^2      u, v: position relative to the box's centre, in box sizes
 
@@ -52,7 +52,7 @@ class SurfaceFit:
     p: FloatArray  # (..., N, 5) coefficients p0 .. p4, with p0 relative to index 0 of the costs
 
     def at(self, u: FloatArray, v: FloatArray) -> FloatArray:
-        """(..., N, G) disparities at positions (N, G), or broadcastable to that."""
+        """(..., N, G) disparities at positions (N, G), or arrays that can be broadcast to this shape."""
         p = self.p[..., None, :]
         return np.asarray(p[..., 0] + u * (p[..., 1] + p[..., 3] * u) + v * (p[..., 2] + p[..., 4] * v))
 
@@ -76,8 +76,8 @@ def fit_surfaces(
     Each iteration solves (A^T W A + ridge) p = A^T W d with the rows (1, u, v, u^2, v^2) of A.
 
     `index`, (N, G) or (..., N, G), is relative to any disparity of the box, such as index 0 of the costs; `weight` is
-    1 / variance of the windows, `terms` (N, G, 5) A, and `disparity` (..., N) that of the box, px of the tile, for the
-    scale of residuals and curvature. Without `is_curved`, a plane is fitted.
+    1 / variance of the windows, `terms` (N, G, 5) A, and `disparity` (..., N) the box's disparity, px of the tile, for
+    the scale of residuals and curvature. Without `is_curved`, a plane is fitted.
     """
     n_parameters = 5 if is_curved else 3
     a = np.ascontiguousarray(terms[..., :n_parameters])

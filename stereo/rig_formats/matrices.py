@@ -1,4 +1,4 @@
-"""Calibrations with matrices or numbers by name: OpenCV's, those of scripts, and those of data sets and programs.
+"""Calibrations with matrices or numbers by name: of OpenCV, scripts, data sets and programs.
 
     K1 D1 K2 D2 R T          x2 = R x1 + T; T has the unit of the chessboard's square size
     K1 D1 K2 D2 R1 R2 P1 P2  R = R2^T R1, T = R2^T (P2[0, 3] / P2[0, 0], 0, 0)

@@ -85,8 +85,8 @@ class Detector:
             model: an ONNX file, or a name from `track-range models list`.
             names: class names in the order of the network; None = those in the model file.
             anchors: anchors of raw YOLO heads, "81,82 135,169 344,319 / 23,27 ..."; None = those in the model file.
-            letterbox: placement of the image and grey level of the padding, such as "centred-114"; None = that of the
-                network family.
+            letterbox: placement of the image and grey level of the padding, such as "centred-114"; None = as usual for
+            the network family.
             layout: name of the layout of the outputs (docs/how-to/detectors.md); None = by their shapes and values.
             min_score: minimum confidence of boxes: 0.25, or "0.1,car=0.3".
             size: longer side of the network input in px, for a network of variable input size.

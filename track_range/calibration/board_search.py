@@ -126,7 +126,7 @@ def _text(size: Size) -> str:
 
 
 def _sharp(shots: list[Views], rejected: list[RejectedView]) -> list[Views]:
-    """The shots without those that have much wider edges than the others."""
+    """The shots without blurred shots, whose edges are much wider than usual."""
     if not shots:
         return shots
     widths = np.array([max(view.edge_px for view in shot) for shot in shots])

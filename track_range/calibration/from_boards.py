@@ -230,9 +230,9 @@ def wide_lens_warnings(name: str, calibration: CameraCalibration) -> Iterator[st
         rms_px = total_rms_px(fits)
         if rms_px < _BETTER * calibration.rms_px:
             yield (
-                f"{name}: the residual of the pinhole model is {calibration.rms_px:.2f} px RMS, that of a fisheye "
-                f"{rms_px:.2f} px, with a focal length of {fisheye.fx_px:.0f} instead of {camera.fx_px:.0f} px: the "
-                "lens is wide; repeat with --lens fisheye."
+                f"{name}: the residual of the pinhole model is {calibration.rms_px:.2f} px RMS, the residual of a "
+                f"fisheye {rms_px:.2f} px, with a focal length of {fisheye.fx_px:.0f} instead of {camera.fx_px:.0f} "
+                "px: the lens is wide; repeat with --lens fisheye."
             )
 
 

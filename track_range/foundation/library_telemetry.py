@@ -31,6 +31,6 @@ records an event before it disables them. Its check for a newer version cannot b
 
 
 def disable_telemetry() -> None:
-    """Set the variables of all switches for this process and those it starts; a user's own value has precedence."""
+    """Set the variables of all switches for this process and its child processes; a user's own value has precedence."""
     for variable, value in TELEMETRY_SWITCHES.values():
         os.environ.setdefault(variable, value)

@@ -23,7 +23,7 @@ _NICENESS = 15  # of low-priority threads (0..19); a thirtieth of the weight of 
 
 
 def lower_thread_priority() -> None:
-    """Lower the priority of this thread and those it starts (Linux only), so that inference goes first."""
+    """Lower the priority of this thread and its child threads (Linux only), so that inference goes first."""
     if sys.platform == "linux":  # on other systems niceness applies to the whole process
         # starts OpenCV's threads, which serve the whole process and would otherwise have the priority of this one
         cv2.cvtColor(np.zeros((512, 512, 3), np.uint8), cv2.COLOR_BGR2GRAY)

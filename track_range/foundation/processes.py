@@ -41,7 +41,7 @@ def n_limited_cores() -> int:
 
 
 def _quota_cores(root: Path = Path("/")) -> float:
-    """Processor time per time that the control groups of this process and those above leave it, in cores.
+    """Processor time per time that the control groups of this process and their parents allow, in cores.
 
     Version 1 has cpu.cfs_quota_us and cpu.cfs_period_us, version 2 both in cpu.max (Linux's cgroup-v1 and cgroup-v2
     documentation). A container sees its own group at the top, under whatever name the host has for it. inf = no limit.

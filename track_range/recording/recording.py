@@ -186,7 +186,7 @@ def open_recording(
             which one video has the left one; None = a file next to `left`, if any.
         focal_px: focal length of cameras without a calibration file.
         fov_deg: horizontal field of view, 20 to 120 degrees, to which the images of wide lenses are undistorted; None =
-            that of the lens, up to 120 degrees.
+        the lens's, up to 120 degrees.
         yaw_deg: direction of the axis of the undistorted images of one camera with a wide lens, to the right of its
             own.
         align: disparity correction of a calibrated pair: "auto" = estimated from its first frames (at most 8 s),
@@ -199,7 +199,8 @@ def open_recording(
             that lag are re-paired.
         start_utc: UTC of the left video's first frame, in ISO 8601; None = from the video.
         topics: topics of the images of the left and right camera, if `left` and `right` are MCAP files or ROS bags.
-        stereo_layout: where the images of one recording have those of two cameras: "side-by-side", "right-left",
+        stereo_layout: where the images of one recording contain the images of two cameras: "side-by-side",
+        "right-left",
             "top-bottom", "bottom-top", "tracks" (two video tracks), or "auto" = found out.
         track: video track of the files of one camera, counted from 0; None = the largest one.
         bayer: Bayer filter of images in folders: "rggb", "bggr", "gbrg" or "grbg".

@@ -35,7 +35,7 @@ def surrogate_rows(source: Path) -> list[dict[str, Any]]:
 
     Values: `clip` ("" of a run), `track_id`, `class`, `state` (the most frequent), `from_s`, `to_s`, `lead_s`, the
     `EXTREMES` with their moments, `tet_s`, `tit_s2` and, with poses.csv, `pet_s`; None = unknown. OutputError: the
-    folder is not that of a run or a fleet, or its rows have no measures.
+    folder is not the result of a run or a fleet, or its rows have no measures.
     """
     clips = sorted((source / "tracks").glob(f"{_CLIP}*/{PARQUET_FILE}"))
     if not clips:

@@ -81,7 +81,7 @@ class RunTable:
         return pa.Table.from_batches([rounded_batch(b, self.columns) for b in batches] if is_rounded else batches)
 
     def to_columns(self, *, is_rounded: bool = True) -> dict[str, npt.NDArray[Any]]:
-        """Rows so far as `track_range.results.columns.Columns`, equal to those of tracks.csv or in full precision."""
+        """Rows so far as `track_range.results.columns.Columns`, as in tracks.csv or in full precision."""
         table = self.to_arrow(is_rounded=False)
         columns: dict[str, npt.NDArray[Any]] = {}
         for column in self.columns:

@@ -95,7 +95,7 @@ class RunOutput:
             self._note.write(self.folder)
 
     def start(self, session: RunSession, *, has_videos: bool = True) -> None:
-        """Remove the files of an earlier run from the folder, and open those of this run, whose inputs are usable.
+        """Remove the files of an earlier run from the folder, and open the files of this run, whose inputs are usable.
 
         No videos are written without `has_videos`, if the images are no longer available. A file that cannot be written
         raises OutputError, VideoError or WriterError.

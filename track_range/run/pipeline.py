@@ -147,7 +147,7 @@ class Pipeline:
             align: correction of disparities: "auto" or None = estimated from the first frames in motion, "off", a file
                 of `track-range align`, or an alignment, such as `run.alignment`.
             keep_s: time for which rows and events are kept.
-            fov_deg: horizontal field of view to which images of wide lenses are undistorted; None = that of the lens.
+            fov_deg: horizontal field of view to which images of wide lenses are undistorted; None = the lens's.
             options: options of `track-range run` for detection, tracking and ranging, with underscores. `detector` and
                 `tracker` may also be objects with `detect` and `update`.
 
@@ -247,7 +247,7 @@ class Pipeline:
         checked = {name: _checked(image, name, is_left=name != "right") for name, image in images.items()}
         known, opened = _known_motion(ego_speed_mps), self._opened
         if not _is_number(time_s) or not self._last_s < time_s < math.inf:
-            after = f" after {self._last_s} s, that of the last frame" if self._index else ""
+            after = f" after {self._last_s} s, the time of the last frame" if self._index else ""
             raise FrameError(f"time_s: expected a time in seconds{after}, found {time_s!r}.")
         time_s = float(time_s)
         if opened is None:

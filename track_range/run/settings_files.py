@@ -33,7 +33,7 @@ _PATHS = RunSettings.fields_where(lambda field: value_type(field) is Path)
 
 
 def settings_from(options: Mapping[str, Any], file: Path | None = None) -> RunSettings:
-    """Settings from options (None = not given) over those of a settings.yaml.
+    """Settings from options (None = not given), which override a settings.yaml.
 
     Invalid or contradicting options raise UsageError, an unreadable file, an unknown key or an invalid value in it
     ConfigError.

@@ -87,7 +87,7 @@ def write_drive(
 ) -> Drive:
     """Write a drive to `folder`, where files with the same names are replaced; the same seed gives the same drive.
 
-    `scenario` is a name of `settings.SCENARIO_NAMES`, `seed` that of the scene, textures, sensor noise and simulated
+    `scenario` is a name of `settings.SCENARIO_NAMES`, `seed` is for the scene, textures, sensor noise and simulated
     detections. `rig` is a rectified pair, or equal, parallel cameras with wide lenses; None = KITTI's angle of view,
     1240 x 376 px and 0.54 m. Odd image sizes grow by one, also in the rig file. `progress` is called after each frame
     with the number of finished frames and the total. Raises ValueError: less than one frame, an unknown scenario, a rig
@@ -105,7 +105,7 @@ def write_drive(
     scene = replace(scene, camera_pitch_rad=math.radians(options.camera_pitch_deg))
     wide_lens = WideLens.of(rig) if rig.left.is_wide else None
     if wide_lens is not None and (options.disparity or options.masks):
-        raise ValueError("options: disparities and masks are those of a pinhole, and the rig has wide lenses")
+        raise ValueError("options: disparities and masks need a pinhole, but the rig has wide lenses")
     pinholes = rig if wide_lens is None else wide_lens.pinholes
     camera = pinholes.left
     renderer = Renderer(scene, pinholes, noise_grey=options.noise_grey, faults=options, wide_lens=wide_lens)

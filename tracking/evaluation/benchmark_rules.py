@@ -8,8 +8,8 @@
               the class pedestrian counts.
     MOT15     truth that is flagged as evaluated counts.
 
-Matches are the best one-to-one assignment with an IoU of at least 0.5. (The rules are those of `evaluate_tracking.py`
-in KITTI's development kit and of MOTChallenge; TrackEval implements them in `kitti_2d_box.py` and
+Matches are the best one-to-one assignment with an IoU of at least 0.5. (The rules follow `evaluate_tracking.py` in
+KITTI's development kit, and MOTChallenge; TrackEval implements them in `kitti_2d_box.py` and
 `mot_challenge_2d_box.py`.)
 """
 

@@ -1,8 +1,8 @@
 """Reader of labels of annotation tools and data sets in JSON, XML and CSV, as one file or one file for each image.
 
 `LAYOUTS` has a row for each layout: what identifies it in the first 64 kB, and a function that lists its boxes. Boxes
-have the corner convention, where the left edge of the image is 0, except those of Scalabel (BDD100K) and Supervisely,
-whose edges are the first and last pixel. Frames are given by number, or by the last number in the name of the image.
+have the corner convention, where the left edge of the image is 0, except in Scalabel (BDD100K) and Supervisely, whose
+edges are the first and last pixel. Frames are given by number, or by the last number in the name of the image.
 
     BDD100K        https://doc.bdd100k.com/format.html, Scalabel's format: images (det_20) and videos (box_track_20)
     LabelMe        https://github.com/wkentaro/labelme, one file for each image; group_id is the identity

@@ -85,7 +85,7 @@ class _Part:
 def _affine(
     source: LabelledPixels, part: _Part, size_px: int, settings: AugmentationSettings, rng: np.random.Generator
 ) -> FloatArray:
-    """(2, 3) random affine transform from corner coordinates of an image to those of the training image."""
+    """(2, 3) random affine transform from corner coordinates of an image to the training image."""
     size = np.array([source.image.shape[1], source.image.shape[0]], np.float64)
     gain = math.exp(rng.uniform(math.log(settings.min_gain), math.log(settings.max_gain))) * size_px / size.max()
     angle, shear = (math.radians(rng.uniform(-x, x)) if x else 0.0 for x in (settings.rotation_deg, settings.shear_deg))

@@ -100,7 +100,7 @@ class EnsembleMember:
         return ViewBoxes(numbers[:, :4], numbers[:, 4], rows[:, 5].astype(np.int64))
 
     def _file(self, image_file: Path) -> Path:
-        """The file of an image's boxes; its name contains the size and date of the image, which may be replaced."""
+        """The file of an image's boxes; its name contains the image's size and date, since images may be replaced."""
         version = ""
         with suppress(OSError):  # else the image cannot be read either
             stat = image_file.stat()

@@ -6,7 +6,7 @@ INT8 rounding, simulated in training, so that the network learns weights that qu
 
     x' = s (clip(round(x / s) + z, 0, 255) - z),   s = (high - low) / 255,   z = round(-low / s)
 
-The backward pass takes the rounding as the identity, and gives clipped values no gradient. Ranges are those of
+The backward pass takes the rounding as the identity, and gives clipped values no gradient. Ranges follow
 `detection.models.quantize`, measured on each batch: for activations, one range per tensor, from the mean of the images'
 minima to the mean of their maxima; for weights, one symmetric range of -127 to 127 steps per output channel. A batch
 norm after the convolution scales a channel's weights and their range alike, and so does not change their rounding.

@@ -214,7 +214,7 @@ def _model_cache() -> str:
 
 
 def _text(describe: Callable[[], str]) -> str:
-    """The description, or the exception that prevents it: the rest of the report is still of use."""
+    """The description, or the exception that prevents it: the rest of the report is still useful."""
     try:
         return describe()
     except Exception as error:  # any: a broken installation is what doctor is for
@@ -262,7 +262,11 @@ def _check_devices() -> str:
     """Whether the devices of this machine find the CPU's boxes."""
     devices = [name for name in get_args(Device) if name not in ("auto", "cpu") and not tested(name).missing]
     wrong = [name for name in devices if not np.less_equal(_differences(name), MAX_DIFFERENCES).all()]
-    return f"the boxes found on {', '.join(wrong)} are not those of the CPU; use --device cpu" if wrong else ""
+    return (
+        f"the boxes found on {', '.join(wrong)} differ from the boxes found on the CPU; use --device cpu"
+        if wrong
+        else ""
+    )
 
 
 CHECKS: Mapping[str, Callable[[], str]] = {  # what is wrong and what to do; "" = no problem

@@ -70,7 +70,9 @@ def _fit_detector_boxes(options: FitOptions) -> None:
     path = ready_model(options.detector_boxes or "", console)
     out = options.out or path.with_suffix(".yaml")
     if options.out is None and path.parent == PACKAGED_FOLDER:
-        raise UsageError(f"--detector-boxes {options.detector_boxes}: a packaged model; measure a copy, or give --out.")
+        raise UsageError(
+            f"--detector-boxes {options.detector_boxes}: this is a packaged model; measure a copy, or give --out."
+        )
     content = read_yaml(out, ModelError, "the attributes of a model") if out.is_file() else {}
     if not isinstance(content, dict) or not isinstance(content.setdefault("box_errors", {}), dict):
         raise ModelError(f"{out}: expected the attributes of a model, found other YAML; choose another --out.")

@@ -44,7 +44,8 @@ class RunView(Options):
     serve: Annotated[
         str | None,
         option(
-            "Address of the live view: a port on this machine, or HOST:PORT to make it reachable from others.",
+            "Address of the live view: a port on this machine, or HOST:PORT to make the view reachable from other "
+            "machines.",
             metavar="PORT|HOST:PORT",
             panel="Output",
         ),

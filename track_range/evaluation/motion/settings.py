@@ -21,8 +21,8 @@ class MotionEvaluationSettings(Options):
     data: Annotated[
         Literal["kitti", "tusimple", "nuscenes"],
         option(
-            "Data set of the labels: kitti; tusimple, a clip of the velocity challenge with images, or a folder of "
-            "clips, measured by a run; nuscenes, a COCO file of mono3d labels."
+            "Data set of the labels: kitti; tusimple (a clip of the velocity challenge with images, or a folder of "
+            "clips, which a run measures); or nuscenes (a COCO file of mono3d labels)."
         ),
     ] = "kitti"
     calib: Annotated[Path | None, option("Folder of KITTI calibration files with the same names.", metavar="DIR")] = (

@@ -146,7 +146,7 @@ def read_journal(out: Location) -> pa.Table:
 class ClipTable:
     """The rows of a fleet in the driver, with the journal as the source of rows that are not compiled.
 
-    `table` has the compiled rows, `newer` the rows that are newer than those, by name of the clip.
+    `table` has the compiled rows, `newer` the rows that are newer, by name of the clip.
     """
 
     def __init__(self, out: Location) -> None:

@@ -19,7 +19,7 @@ _BLOCK_BYTES = 65_536
 
 
 class XmlHandler(Protocol):
-    """Receiver of elements; `path` has the names of those around it and its own; `line` counts from 1."""
+    """Receiver of elements; `path` has the names of the enclosing elements and its own; `line` counts from 1."""
 
     def start(self, path: list[str], attributes: Mapping[str, str], line: int) -> None:
         """An element begins; it is the last of `path`."""

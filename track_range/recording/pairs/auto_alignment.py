@@ -149,7 +149,7 @@ class StepwiseAlignment:
     """
 
     def __init__(self, rig: StereoRig, given: PairAlignment | None = None) -> None:
-        """Start with frames rectified to `rig`; an alignment that is given stays as it is."""
+        """Start with frames rectified to `rig`; a given alignment does not change."""
         self.current = given  # the alignment that is applied; None = not estimated yet
         self._rig, self._prior = rig, NOT_MEASURED
         self._drift: DriftMonitor | None = None

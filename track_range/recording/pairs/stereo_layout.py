@@ -103,9 +103,9 @@ def mono_notes(video: RecordedVideo | LiveVideo) -> tuple[str, ...]:
     if layout is None:
         return ()
     return (
-        f"{video.path}: each image looks like those of two cameras, {_SHOWN[layout.layout]} ({layout.source}), so that "
-        f"road users are counted twice and distances are wrong; use --stereo {video.path} --stereo-layout "
-        f"{layout.layout} (Python: stereo_layout).",
+        f"{video.path}: each image seems to contain the images of two cameras, {_SHOWN[layout.layout]} "
+        f"({layout.source}), so that road users are counted twice and distances are wrong; use --stereo {video.path} "
+        f"--stereo-layout {layout.layout} (Python: stereo_layout).",
     )
 
 

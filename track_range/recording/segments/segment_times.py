@@ -102,7 +102,7 @@ def paired_starts_s(plan: SegmentPlan, left: SegmentPlan) -> tuple[float, ...]:
     """Start times of the right files of a pair on the time axis of the left ones.
 
     Files of a pair that start within 2 s are assumed to start together, since their dates have a resolution of 1 s.
-    Raises VideoError if the files have no dates, and one side lacks files of the other.
+    Raises VideoError if the files have no dates, and one side lacks files of the other side.
     """
     has_equal_clocks = plan.utc is not None and left.utc is not None and plan.utc.is_local == left.utc.is_local
     if plan.clock_s and left.clock_s and has_equal_clocks:

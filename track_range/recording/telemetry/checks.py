@@ -164,8 +164,8 @@ def with_unit(track: TelemetryTrack) -> TelemetryTrack:
     if abs(ratio.median - 1) <= _MAX_DEVIATION and track.unit is not None:
         sigma_mps = math.hypot(track.speed_sigma_mps, abs(ratio.median - 1) * stated_mps)
         note = (
-            f"its speeds are {abs(1 / ratio.median - 1):.0%} {'below' if ratio.median > 1 else 'above'} those of its "
-            f"positions; their standard deviation is {sigma_mps:.1f} m/s."
+            f"its speeds are {abs(1 / ratio.median - 1):.0%} {'below' if ratio.median > 1 else 'above'} the speeds of "
+            f"its positions; their standard deviation is {sigma_mps:.1f} m/s."
         )
         return replace(track, speed_sigma_mps=sigma_mps, notes=(*track.notes, note))
     stated = track.unit or "m/s"

@@ -1,7 +1,7 @@
 """estimated_offset: time by which telemetry lags behind a video, from the motion in its images.
 
     expansion(t) = k v(t + o) (1 + z(t)) + n     the expansion is the speed over a typical depth, 1/k (1 + z) per metre
-    yaw(t)       = q course'(t + o) + n          the yaw rate is that of the course; q absorbs the focal length
+    yaw(t)       = q course'(t + o) + n          the yaw rate is the rate of the course; q absorbs the focal length
 
 The typical depth changes along the road: z is a Gauss-Markov process with the standard deviation sigma_z and the time
 constant tau, so that slow changes of the expansion have little weight, and fast ones much. o is searched on a

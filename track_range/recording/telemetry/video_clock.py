@@ -85,7 +85,7 @@ def on_video_clock(track: TelemetryTrack, part: VideoPart) -> tuple[TelemetryTra
             "with --start-utc."
         )
     zone_s, start_s = (together or fits)[0]
-    note = f"its times differ from those of the video by a time zone; {zone_s / 3600:+g} h added."
+    note = f"its times differ from the video's times by a time zone; {zone_s / 3600:+g} h added."
     notes = (*track.notes, note) if zone_s and not is_local else track.notes
     return replace(track, time_s=track.time_s + zone_s - start_s, clock="video", notes=notes), _CLOCK_SIGMA_S
 

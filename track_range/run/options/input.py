@@ -128,7 +128,7 @@ class InputOptions(Options):
     every: Annotated[
         int,
         option(
-            "Processing of each N-th frame only; time steps are those of the frames that are processed.",
+            "Processing of each N-th frame only; time steps are taken between processed frames.",
             metavar="N",
             ge=1,
             le=1000,
@@ -138,8 +138,8 @@ class InputOptions(Options):
     realtime: Annotated[
         bool,
         option(
-            "Frames of a file at the pace of a camera: none before its time, and those are dropped for which the "
-            "machine is too slow.",
+            "Frames of a file at the pace of a camera: no frame is read before its time, and frames are dropped if "
+            "the machine is too slow.",
             instead="clips of a fleet are recordings, which are processed as fast as possible",
         ),
     ] = False

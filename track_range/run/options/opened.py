@@ -36,7 +36,7 @@ class DetectorOptions:
 
     @classmethod
     def of(cls, settings: object) -> Self:
-        """Options from the attributes of the same names that `settings` has; defaults for the others."""
+        """Options from the attributes of the same names that `settings` has; defaults for missing attributes."""
         names = (field.name for field in fields(cls))
         return cls(**{name: getattr(settings, name) for name in names if hasattr(settings, name)})
 

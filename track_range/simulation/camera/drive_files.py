@@ -67,7 +67,7 @@ class PackedWriter:
         self._last: tuple[Image, float] | None = None  # the last image that was passed, and its time
 
     def write(self, image: Image, time_s: float) -> None:
-        """Write an image with the one before, if that is of the same time."""
+        """Write an image together with the previous image, if both have the same time."""
         before, self._last = self._last, (image, time_s)
         if before is not None and before[1] == time_s:
             self._writer.write(np.concatenate((before[0], image)[:: self._order], self._axis), time_s)
@@ -99,7 +99,7 @@ def object_map(
     """(H, W) number of the object that each pixel shows: n + 1 for row n of the labels, 0 = none or beyond the 254th.
 
     A pixel shows an object if the point drawn there is within its 3-D box and above the road.
-    `inverse_depth` is (2 H, 2 W), that of the samples in 1/m; `rotations` are (M, 3, 3), of all road users, from the
+    `inverse_depth` is (2 H, 2 W), for the samples in 1/m; `rotations` are (M, 3, 3), of all road users, from the
     object's frame to the left camera's.
     """
     camera, labels = rig.left, visible.labels
@@ -124,7 +124,7 @@ def write_masks(folder: Path, number: int, labels: npt.NDArray[np.uint16], scene
     """Write the visible heads and plates of a left image, from `Renderer.render_with_labels`, without blur and noise.
 
     masks/000000.png is 0 = neither, 1 = head, 2 = number plate (`faces.IdentifyingPart`); mask_ids/000000.png is 1 +
-    the track id of the road user (of truth.txt), 0 = neither. `number` is that of the frame of the left video, which
+    the track id of the road user (of truth.txt), 0 = neither. `number` is the frame's number in the left video, which
     has no gaps for dropped frames. The first one removes the masks of an earlier drive.
     """
     part, row = masks_of(labels)

@@ -99,7 +99,7 @@ class Canvas:
         return np.asarray(rows[:, None] + (self._columns[window[1]] * plane[0]).astype(np.float32))
 
     def _cover(self, window: Slices, warped: Image, inverse_depth: npt.NDArray[np.float32], label: int) -> None:
-        """Draw the opaque samples that are nearer than those drawn before."""
+        """Draw the opaque samples that are nearer than samples drawn before."""
         is_nearer = cv2.compare(inverse_depth, self.inverse_depth[window], cv2.CMP_GT)
         is_drawn = cv2.bitwise_and(is_nearer, (warped.view(np.uint32)[:, :, 0] >= _OPAQUE_BGRA).view(np.uint8))
         cv2.copyTo(inverse_depth, is_drawn, self.inverse_depth[window])

@@ -54,7 +54,7 @@ def _vehicle_lamps(user: RoadUser, location: FloatArray, rotation: FloatArray) -
 def night_image(image: Image, inverse_depth: FloatArray, camera: PinholeCamera, lamps: FloatArray) -> Image:
     """A daylight image as lit by the ego headlights and lamps; the sky does not change.
 
-    `image` is (H, W, 3) uint8, `inverse_depth` (H, W) 1/z in 1/m with 0 = sky; the lamps are those of `lamps_of`.
+    `image` is (H, W, 3) uint8, `inverse_depth` (H, W) 1/z in 1/m with 0 = sky; the lamps come from `lamps_of`.
     """
     near = cv2.pow(np.minimum(inverse_depth * np.float32(REACH_M), np.float32(1)), FADING)
     strength = headlights(camera) * near

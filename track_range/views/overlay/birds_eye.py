@@ -78,7 +78,7 @@ class BirdsEye:
             self._corner, self._moved_s = best, time_s
 
     def draw(self, canvas: Image, result: FrameResult, boxes: FloatArray | None = None) -> None:
-        """Draw the inset of one frame; `boxes` (N, 4) are those in the image, None = of the tracks."""
+        """Draw the inset of one frame; `boxes` (N, 4) are boxes in the image, None = the tracks' boxes."""
         image_px = (canvas.shape[1], canvas.shape[0])
         boxes = result.tracks.xyxy_px if boxes is None else boxes
         boxes = boxes[np.isfinite(boxes).all(axis=1)]

@@ -151,7 +151,7 @@ def error_lines(runs: Sequence[ComparedRun]) -> list[dict[str, Any]]:
 
 
 def compared_tracks(runs: Sequence[ComparedRun], *, has_pictures: bool = True) -> list[dict[str, Any]]:
-    """The road users of each further run on the video of the first one, beside those of the first.
+    """The road users of each further run on the first run's video, beside the road users of the first run.
 
     Keys: `grid`, `sentences`, and `pictures` of the largest disagreements: `text`, and `images` (name of the run,
     distance and data URI, "" = none, of each run).

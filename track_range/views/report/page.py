@@ -55,8 +55,8 @@ def write_report(
 
     `columns` are tracks.csv by column, NaN = empty, with the ground truth (`results.summary`) where there is one; zero
     rows without tracks. `events` are in the order of events.csv; None = unknown, the page is then without them. `clips`
-    is the folder of their clips, to which the page links; it may be missing. None = no links. `poses` are those of the
-    camera, for the map of the drive; None = no map.
+    is the folder of their clips, to which the page links; it may be missing. None = no links. `poses` are the camera's,
+    for the map of the drive; None = no map.
     """
     addresses = {}
     with suppress(OSError):  # the folder of the clips is missing

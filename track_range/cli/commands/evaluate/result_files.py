@@ -72,7 +72,7 @@ def _check_can_be_written(file: Path) -> None:
     if file.is_dir():
         raise OutputError(f"{file}: cannot be written (it is a folder); give the path of a file in it.")
     if not file.parent.is_dir():
-        raise OutputError(f"{file}: cannot be written (no folder {file.parent}); create it or choose another.")
+        raise OutputError(f"{file}: cannot be written (no folder {file.parent}); create the folder, or choose another.")
     if not os.access(file.parent if _is_replaced(file) else file, os.W_OK):
         raise OutputError(f"{file}: cannot be written (permission denied); choose another file.")
 

@@ -35,7 +35,7 @@ def _tracks(options: TracksOptions) -> None:
 
 
 def _print_comparison(figures: Mapping[str, Any]) -> None:
-    """Print the results of motmetrics beside those of track-range, with reasons for differences."""
+    """Print the results of motmetrics beside track-range's results, with reasons for differences."""
     rows: dict[str, Mapping[str, Any]] = {
         "track-range": figures["combined"],
         "motmetrics": figures["motmetrics"]["combined"],

@@ -104,7 +104,7 @@ class McapWriter:
             self._file.close()
 
     def _time_ns(self, result: FrameResult) -> int:
-        """Time of a frame, which is never before that of an earlier frame."""
+        """Time of a frame, which is never before an earlier frame's."""
         if math.isfinite(result.utc_s):
             time_ns = round(result.utc_s * 1e6) * 1000
         else:

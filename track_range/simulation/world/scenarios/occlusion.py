@@ -90,7 +90,7 @@ class _Contents:
     occupied: list[Disc] = field(default_factory=list)
 
     def add_leading(self, ego: SpeedChanges) -> None:
-        """Two vehicles ahead in the ego lane at the ego speed; the nearer one hides part of the other."""
+        """Two vehicles ahead in the ego lane at the ego speed; the nearer one hides a part of the farther one."""
         near_m, ratio = float(self.rng.uniform(9, 18)), float(self.rng.uniform(0.4, 0.75))
         for types, z_m in ((("Car", "Car", "Van"), near_m), (("Car", "Van", "Truck"), near_m / ratio + 3.0)):
             x_m = float(self.rng.uniform(-0.35, 0.35))
@@ -174,7 +174,7 @@ class _Contents:
         return Obstacle(len(self.obstacles), kind, size_hwl_m, (x_m, z_m), heading)
 
     def _is_free(self, path: list[Disc], occluder: list[Disc]) -> bool:
-        """Whether a road user on its path and its occluder are beside the ego vehicle's path and apart from all."""
+        """Whether a road user on its path and its occluder are beside the ego vehicle's path and touch no other."""
         x, _, radius = np.array(path + occluder).T
         if (np.abs(x) - radius < CORRIDOR_M).any() or (np.abs(x) > FARTHEST_ASIDE_M).any():
             return False
