@@ -63,6 +63,11 @@ WORDS = [
     r"in vain",
     r"sentences? for the user",
     r"shares? of",
+    r"(?:is|are|be|as|than|from|by|not) (?:that|those) of",
+    r"of them before",
+    r"the ones that",
+    r"found others",
+    r"with it(?=[.;] ?(?:[A-Z\"'`]|$))(?<!agree with it)",
 ]
 """Phrases of an earlier private idiom, as regular expressions of whole words; DESIGN's terms are used instead."""
 

@@ -1,6 +1,6 @@
 """The pictures of the documentation, drawn again from the program: `python docs/pictures.py [NAME ...]`.
 
-Frames are those of the simulation, curves are computed by the package, diagrams are drawn here; there are no
+Frames come from the simulation, curves are computed by the package, diagrams are drawn here; there are no
 photographs. `report` takes a screenshot with Chromium, where it is installed. Without names all pictures are drawn,
 which takes a few minutes, most of them for two short runs.
 """

@@ -1,4 +1,4 @@
-"""Camera motion: the image motion of the background between two frames, so that predicted boxes can move with it.
+"""Camera motion: the image motion of the background between two frames, which also moves predicted boxes.
 
     now = [[a, -b], [b, a]] before + t       a = s cos r, b = s sin r: scale s, roll r, and t for yaw and pitch
 

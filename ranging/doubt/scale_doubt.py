@@ -92,7 +92,7 @@ class Agreement(NamedTuple):
     """What a drive shows about the baseline."""
 
     factor: float  # of the given baseline and that of the drive
-    sigma: float  # relative standard deviation of that of the drive
+    sigma: float  # relative standard deviation of the drive's
     evidence: str
 
     @property

@@ -22,7 +22,7 @@ from track_range.ranging.fitting.labelled_boxes import CLASS_OF, BoxSet
 from track_range.stereo.evaluation.disparity_errors import MatcherColumn, risk_coverage
 
 CLASSES = tuple(CLASS_OF.values())  # evaluated classes, in the order of tables
-NEAREST_M, FAR_M = 10.0, 30.0  # smallest distance in m of the metrics of a class, and of those of far objects
+NEAREST_M, FAR_M = 10.0, 30.0  # smallest distance in m of the metrics of a class, and of far objects
 N_FOLDS = 7  # folds of the cross-validation: 3 of KITTI's 21 sequences each
 CLOSING_HALF_SPAN_S = 0.5  # s before and after a label of the central difference that is its true closing speed
 _MIN_M = 0.1  # smallest distance in m in ratios and logarithms: polynomials may be negative

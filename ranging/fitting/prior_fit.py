@@ -74,7 +74,7 @@ class StandardBody:
     fraction: float  # probability of the type within its class
     hwl_m: tuple[float, float, float]  # height, width (without mirrors) and length in metres
     log_sigma: tuple[float, float, float]  # relative standard deviations of the sizes
-    source: str  # models that the sizes are those of
+    source: str  # models with these sizes
 
     @property
     def moments(self) -> tuple[FloatArray, FloatArray]:

@@ -66,7 +66,7 @@ _MAX_AGREEMENTS = 2 * _TRUSTED_FRAMES  # so that a few conflicts (-2 each) end t
 _CONFLICT_VARIANCE = 0.5  # variance added to u in a frame with a conflict
 _MAX_BIAS_SIGMA = 2.5  # largest difference in sigmas that biases are learnt from: others are mismatches or hidden boxes
 _VAGUE_SIGMA = 0.4  # relative sigma above which a method is not used if another is better: its bias would be too large
-_REFERENCE_S = 0.5  # s after a scale reference during which the scale counts as that of the reference
+_REFERENCE_S = 0.5  # s after a scale reference during which the scale counts as the reference's
 _KNOWN_BIAS_VARIANCE = 0.3  # variance of a size method's u below which its scale is the reference's; 1 = not learnt
 
 

@@ -31,7 +31,7 @@ from track_range.tracking.tracks import Tracks
 _MIN_HEIGHT_PX = 4.0  # lower boxes are not ranged: an edge error of 1 px is a quarter of the distance
 
 
-_CUT_SIGMA = 0.085  # relative, of boxes cut at the left or right, whose middle is not that of the object; on KITTI
+_CUT_SIGMA = 0.085  # relative, of boxes cut at the left or right, whose middle is not the object's; on KITTI
 _MIN_AREA_PX2 = 1e-6  # smallest area of a box, so that one without an area is not covered
 _COVERED_SIGMA = 0.06  # relative, of the distance of a box that nearer ones cover wholly, of a detector on KITTI
 

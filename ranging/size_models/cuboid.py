@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 _N_STEPS = 5  # iterations for the position of a cuboid, from a start behind the visible surface
-_N_STEPS_FROM_START = 2  # iterations for the position of a cuboid, from that of a cuboid of similar size
+_N_STEPS_FROM_START = 2  # iterations for the position of a cuboid, from a cuboid of similar size
 _MIN_DEPTH_M = 0.3  # smallest depth in m of a corner, to keep corners in front of the camera
 _CORNERS = tuple(product((-0.5, 0.5), repeat=2))  # corners of the ground face in units of (length, width)
 Floats = npt.NDArray[np.floating[Any]]  # of single or double precision, as the arguments

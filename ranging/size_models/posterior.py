@@ -51,7 +51,7 @@ class SizeMixture:
     variance: FloatArray  # (N, K) variances of log d
     weight: FloatArray  # (N, K) weights, which sum to 1 per box
     frame_variance: FloatArray  # (N,) part of the variance of log d that comes from the noise of the box
-    log_contact_ratio: FloatArray  # (N,) log of the distance divided by that of the nearest point on the ground
+    log_contact_ratio: FloatArray  # (N,) log of the distance divided by the nearest ground point's
     body: IntArray  # (N, K) index of each Gaussian's body type among the M possible ones
     chi2: FloatArray  # (N,) smallest squared deviation from a body type, plus 2 log (best weight / its weight)
 

@@ -119,7 +119,7 @@ class Nodes(NamedTuple):
     per_bearing: _Float32  # (2, K, M, N) their slopes in bearing
     variance: _Float32  # (2, K, M, N) their variances, from sizes and scatter
     covariance: _Float32  # (K, M, N) their covariance
-    log_contact_ratio: _Float32  # (K, M, N) log of the distance divided by that of the nearest point on the ground
+    log_contact_ratio: _Float32  # (K, M, N) log of the distance divided by the nearest ground point's
     log_weight: _Float32  # (K, M, N) log weight of the yaw bin
 
 

@@ -25,7 +25,7 @@ _N_ROUNDS = 8  # rounds of the reweighted least squares
 _CAUCHY_SIGMAS = 2.0  # scale of the Cauchy weights, in standard deviations of the row differences
 _MIN_POINTS = 200  # minimum number of points for roll and focal ratio; with fewer, only the median row offset is used
 _MAX_POINTS = 12_000  # largest number of points in the fit; more do not make it more accurate
-_MIN_SPAN = 0.5  # minimum standard deviation of the columns, as a fraction of that of points all over the image
+_MIN_SPAN = 0.5  # minimum standard deviation of the columns, as a fraction of the value for points all over the image
 # Standard deviation of the disparity error of a calibrated pair without a measured alignment: six matchers agree that
 # the disparities of KITTI's carefully calibrated pairs are about half a pixel too small.
 UNCORRECTED_SIGMA_PX = 0.5
@@ -162,7 +162,7 @@ class RightView:
 
     row_offset_px: float = 0.0  # y_right - y_left in the middle of the image
     roll_deg: float = 0.0  # rotation about the optical axis
-    focal_ratio: float = 1.0  # true focal length divided by that of the rig
+    focal_ratio: float = 1.0  # true focal length divided by the rig's
     yaw_deg: float = 0.0  # rotation about the vertical axis; 0 unless it is large
 
     @classmethod

@@ -42,7 +42,7 @@ class _UndistortedImages:
     """The left, or only, images of a rectifier or undistorter in relation to the recorded video."""
 
     recorded_size_px: tuple[int, int]  # (width, height) of the images of the video
-    _view: _View | None  # None = the images are those of the video
+    _view: _View | None  # None = images of the video
     is_turned = False  # whether the images of the video are turned by 180 degrees first
 
     def _turned(self, xy_px: FloatArray) -> FloatArray:

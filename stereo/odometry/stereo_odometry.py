@@ -47,7 +47,7 @@ _MIN_RATIO = 0.05  # smallest ratio of the depths now and before; a nearer point
 _BLOCK_PX = 9  # side of the blocks of the coarse matcher, pixels of the quarter-size image
 _MIN_SIDE_PX = 64  # smallest side of a small image that has room for windows in its halved copy
 
-# Tracking of corners; pixels are those of the small image:
+# Tracking of corners; in pixels of the small image:
 _N_FEATURES = 300  # largest number of corners
 _MIN_QUALITY = 0.001  # minimum quality of a corner, as a fraction of the best corner's
 _WINDOW_PX = 9  # side of the tracked window

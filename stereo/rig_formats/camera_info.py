@@ -62,7 +62,7 @@ def rig_of(left: CameraInfo, right: CameraInfo, path: Path, *, is_rectified: boo
     """The rig of two messages; RigError for an unknown lens model, no baseline, or contradicting messages."""
     if not left.p[0, 0] or not right.p[0, 0]:
         raise RigError(f"{path}: expected projection matrices P in both calibrations, found zeros; give a rig.yaml.")
-    # the origin of the rectified frames is that of the left camera in most recordings, in KITTI's that of another one
+    # the origin of the rectified frames is the left camera in most recordings, another camera in KITTI's
     offset_m = right.p[0, 3] / right.p[0, 0] - left.p[0, 3] / left.p[0, 0]
     if not offset_m:
         if left.p[1, 3] != right.p[1, 3]:

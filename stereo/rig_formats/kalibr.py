@@ -32,7 +32,7 @@ from track_range.stereo.geometry.rig_checks import ImageSide, RigCalibration
 from track_range.stereo.rig_formats.rig_format import format_by_pattern
 from track_range.stereo.rig_formats.values.containers import yaml_of_opencv
 
-_CAMERA = re.compile(r"^cam\d+\s*:(?!\s*\n\s+K\s*:)", re.MULTILINE)  # blocks at the top level, not those of scripts
+_CAMERA = re.compile(r"^cam\d+\s*:(?!\s*\n\s+K\s*:)", re.MULTILINE)  # blocks at the top level, not blocks of scripts
 _HINT = "give Kalibr's camchain.yaml unchanged"
 
 _Row = tuple[Number, Number, Number, Number]

@@ -163,7 +163,7 @@ def _check_board(board: Board, samples: Sequence[Image], *, n_found: int, n_imag
 
 def _no_charuco_message(board: CharucoBoard, samples: Sequence[Image], n_images: int) -> str:
     seen = count_markers(samples[:2])
-    # A dictionary of 50 markers is the start of that of 100: of equally good ones, the smallest is the right one.
+    # A dictionary of 100 markers starts with the dictionary of 50: the smallest of equally good ones is right.
     best = max(seen, key=lambda name: (seen[name], -int(name.split("_")[-1]) if name.split("_")[-1].isdigit() else 0))
     problem = f"no board {board.name} found in {counted(n_images, 'image')}"
     if not seen[best]:

@@ -40,7 +40,7 @@ from track_range.tracking.tracks import Tracks
 
 _LANE_INTERVAL_S = 0.09  # between two detections of lane lines, which change slowly and are expensive to detect
 _ACROSS_MPS, _ACROSS_SIGMA = 1.0, 3.0  # lateral speed, and standard deviations of it, above which an object moves
-_TURN_ERROR = 0.2  # error of the lateral speed relative to w z in turns, by that of the distance z
+_TURN_ERROR = 0.2  # error of the lateral speed relative to w z in turns, from the error of the distance z
 FUSED_NOISE_FRACTION = 0.35  # initial fraction of the fused sigma that is independent between frames
 
 

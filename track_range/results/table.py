@@ -87,7 +87,7 @@ class RunTable:
         for column in self.columns:
             values = table.column(column.name)
             if column.kind == "name":
-                names = np.array([*column.names, ""])  # the last one is that of null
+                names = np.array([*column.names, ""])  # the last one stands for null
                 codes = [chunk.indices.fill_null(len(column.names)).to_numpy() for chunk in values.chunks]
                 columns[column.name] = names[np.concatenate(codes)]
             else:

@@ -65,7 +65,7 @@ Cameras = str | Path | StereoRig | PinholeCamera  # a calibration file, or the m
 
 
 _N_LATENCIES = 1000  # latest frames of which the latency is stated
-_SAME_CLOCK_S = 10.0  # largest difference between a frame's time and a clock of this machine that is that of the images
+_SAME_CLOCK_S = 10.0  # largest difference between a frame's time and a clock of this machine that stamps the images
 
 
 class FrameError(UserError, ValueError):

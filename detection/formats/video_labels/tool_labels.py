@@ -311,7 +311,7 @@ def _read(path: Path, layout: Layout, video: VideoFacts) -> BoxTable:
     for file in files:
         try:
             for box in layout.boxes(_content(file, layout.title)):
-                # the name of a file is that of its image; tools may repeat a wrong one in it
+                # a file has the name of its image; tools may repeat a wrong name in the file
                 image = file.name if (is_folder and isinstance(box.image, str)) or box.image == "" else box.image
                 if not isinstance(image, int | str) or isinstance(image, bool):
                     raise TypeError(type(image).__name__)

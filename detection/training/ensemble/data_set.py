@@ -51,7 +51,7 @@ from track_range.foundation.files.atomic_files import writable, write_text
 from track_range.foundation.files.input_files import shortened
 
 MIN_IGNORED_PROBABILITY = 0.6  # minimum probability of a box of a completely labelled class
-_SAME_OBJECT_IOU = 0.5  # IoU above which a box is that of a label, or that of the other detector
+_SAME_OBJECT_IOU = 0.5  # IoU above which two boxes show the same object
 _MISSING_SCORE = 0.12  # of the other detector without a box, about half of the lowest that is stored, 0.25
 _LOWEST, _HIGHEST = 0.02, 0.98  # limits of the probabilities that are combined, so that log-odds are finite
 _LEAST_FRACTION = 0.6  # fraction of the other detector's score that its boxes have at least

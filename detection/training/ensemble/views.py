@@ -66,7 +66,7 @@ class EnsembleMember:
         settings = YoloSettings(min_score=MIN_SCORE, max_iou=_MAX_IOU, max_boxes=_MAX_BOXES, size_px=size_px)
         self._detector = YoloDetector(path, settings, runtime=runtime)
         self.is_known: BoolArray = fully_known(self._detector.model.names)  # (8,) not only a kind of them
-        # boxes of another network or input size are those of another member
+        # boxes of another network or input size belong to another member
         size = "default" if size_px is None else f"{size_px}"
         self._folder = stored / f"{path.stem}-{self._detector.session.sha256()[:12]}-{size}"
 

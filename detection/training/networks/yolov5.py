@@ -24,7 +24,7 @@ COCO_ANCHORS_PX: Anchors = (  # YOLOv5's default anchors in input pixels, for CO
 )
 
 
-SCALES = {"yolov5n": (0.33, 0.25), "yolov5s": (0.33, 0.50)}  # depth and width as multiples of those of YOLOv5l
+SCALES = {"yolov5n": (0.33, 0.25), "yolov5s": (0.33, 0.50)}  # depth and width as multiples of YOLOv5l's
 BODY_PREFIX = "body."  # prefix of the names of the weights of `YoloV5Body` in networks that have one
 
 

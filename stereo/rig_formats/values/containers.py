@@ -154,7 +154,7 @@ def _xml_values(text: str, path: Path, expected: str) -> dict[str, Any]:
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise RigError(f"{path}: expected {expected}, found a document type; remove it.")
     try:
-        root = ElementTree.fromstring(text)  # noqa: S314 - without entities, the size is limited by that of the file
+        root = ElementTree.fromstring(text)  # noqa: S314 - without entities, the file's size limits the tree
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise RigError(f"{path}: expected {expected} in XML, found an error: {shortened(str(error))}.") from error
     names = [node.tag for node in root]

@@ -22,7 +22,7 @@ from track_range.ranging.fitting.labelled_boxes import FRAME_STEP_S, BoxSelectio
 
 _HALF_SPAN_S = 0.5  # s before and after a label over which its true motion is a straight line
 _MIN_SIDE_S = 0.3  # shortest labelled time before and after a label whose motion is known
-_EGO_HALF_SPAN_S = 0.2  # the same for the ego speed, which is that of a wheel sensor
+_EGO_HALF_SPAN_S = 0.2  # the same for the ego speed, as of a wheel sensor
 
 
 @dataclass(frozen=True, slots=True)

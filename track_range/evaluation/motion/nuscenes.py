@@ -49,7 +49,7 @@ def read_mono3d(path: Path) -> Mono3dLabels:
         return _labels(content)
     except (ValueError, KeyError, TypeError, IndexError) as error:
         raise LabelFileError(
-            f"{path}: expected mono3d labels of nuScenes with bbox_cam3d and velo_cam3d, found others ({error!r})."
+            f"{path}: expected mono3d labels of nuScenes with bbox_cam3d and velo_cam3d, found other data ({error!r})."
         ) from error
 
 
@@ -122,7 +122,7 @@ def nuscenes_motion(path: Path, *, noise_px: float = 0.0, seed: int = 0) -> Labe
     ego_mps = (slopes[:, :3] * axis).sum(axis=1)
     yaw_rad_s = np.sin(heading_rad) * slopes[:, 3] - np.cos(heading_rad) * slopes[:, 4]
     own_mps = labels.velocity_mps
-    # speeds over ground are those of cameras that look along the road
+    # speeds over ground need cameras that look along the road
     is_along = np.abs(ego_mps) >= _ALONG * np.linalg.norm(slopes[:, :3], axis=1)
     return LabelledMotion(
         boxes=boxes.with_noise(noise_px, seed=seed) if noise_px > 0 else boxes,

@@ -38,7 +38,7 @@ _TOKEN = secrets.token_hex(32)  # token of the clusters of this process; Ray rea
 
 # environment of this process, which Ray reads when it is imported: no paragraph for what the driver reports by clip
 _VARIABLES = {"RAY_DEDUP_LOGS_SKIP_REGEX": "A worker died or was killed"}
-# environment of a cluster of this machine: the address of the node is that of the loopback interface
+# environment of a cluster of this machine: the node has the address of the loopback interface
 _LOCAL_VARIABLES = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
 
 

@@ -77,7 +77,7 @@ class ClipOutcome:
     """Answer of a worker about a clip, with its record; the record of a finished clip has been published."""
 
     row: Row
-    is_unchanged: bool = False  # the content is that of the complete result; only `inputs` of the row counts
+    is_unchanged: bool = False  # the content equals the complete result; only `inputs` of the row counts
     is_transient: bool = False  # the failure may not repeat itself
     defect: str = ""  # text of an exception that the processing has not caught; "" = none
     fatal: str = ""  # why the fleet cannot continue, one sentence; "" = it can

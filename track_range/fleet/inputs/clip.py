@@ -55,7 +55,7 @@ class Clip:
         files = self.named_files()
         videos = {role: Location.of(files[role]) for role in ("left", "right") if role in files}
         left = videos["left"]
-        # elsewhere than on this machine, only a name without a suffix may be that of a folder
+        # elsewhere than on this machine, only a name without a suffix may be a folder
         maybe = [role for role, video in videos.items() if video.is_local or "." not in video.name[1:]]
         folders = [role for role in maybe if exists(videos[role], is_folder=True)]
         if "rig" not in files and "focal_px" not in self.settings:

@@ -156,7 +156,7 @@ class _Check:
 
     def _check_rig(self, path: Path, left_px: tuple[int, int], right_px: tuple[int, int]) -> None:
         errors = []
-        # the second sizes are those of a video that is rotated by its metadata
+        # the second sizes belong to a video that is rotated by its metadata
         for left, right in ((left_px, right_px), ((left_px[1], left_px[0]), (right_px[1], right_px[0]))):
             try:
                 if self.clip.right is None and self._layout is None:

@@ -48,7 +48,7 @@ def clips_of(recordings: Sequence[str], pattern: str | None, rig: str | None) ->
 def _clips_in(location: Location, pattern: FilePattern | None) -> list[Clip]:
     tree = wildcard_tree(location)
     if tree is None:
-        # on a web server, an address without a suffix is that of a folder
+        # on a web server, an address without a suffix is a folder
         if not location.is_web or (location.parent is not None and without_suffix(location.name) != location.name):
             status = location.stat()
             if status is None:

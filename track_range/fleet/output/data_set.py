@@ -270,7 +270,7 @@ def _journal_location(out: Location, name: str) -> Location:
 def _journal_names(out: Location) -> list[str]:
     folder = out.child(JOURNAL)
     names = [entry.name for entry in folder.list()] if folder.exists() else []
-    # hidden files are those of a write that was killed
+    # hidden files belong to a killed write
     return [unquote(name.removesuffix(".json")) for name in names if name.endswith(".json") and name[0] != "."]
 
 

@@ -25,7 +25,7 @@ from track_range.stereo.rig_formats.camera_info import CameraInfo
 _N_FIRST = 30  # messages from which the frame rate is estimated
 _FALLBACK_RATE_HZ = 10.0  # of a topic with a single message
 _MAX_LATENCY_S = 5.0  # largest time, s, between the time stamp of an image and its recording
-_FIRST_PLAUSIBLE_S = 631_152_000.0  # 1990; smaller times are those of a simulation, or since a computer was started
+_FIRST_PLAUSIBLE_S = 631_152_000.0  # 1990; smaller times come from a simulation, or count since a computer was started
 _UTC_UNCERTAINTY_S = 0.1  # largest delay, s, between exposure and time stamp; assumed
 _MAX_LEVELS = 3  # levels above an image topic in which its calibration is searched: /left/image_raw/compressed -> /left
 _ZED_ENCODING = "zed_sdk_encoded"  # of the images of .svo2 files

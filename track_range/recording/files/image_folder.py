@@ -25,7 +25,7 @@ from track_range.recording.names import Bayer
 from track_range.recording.recorded_video import RecordedVideo
 from track_range.recording.utc import ZONE_SPAN_S, UtcStart
 
-_DARK = 257  # largest values below are those of dark images with 16 bits
+_DARK = 257  # smaller largest values belong to dark images with 16 bits
 
 
 class UnreadableImageError(VideoError):

@@ -52,7 +52,7 @@ _MIN_RATE_HZ, _MAX_RATE_HZ = 1e-4, 1e5  # range of frame rates; the rate of anot
 _STILL = Disposition.attached_pic | Disposition.timed_thumbnails  # streams that are no videos
 
 _RAW = frozenset(("h264", "hevc", "vvc", "m4v", "mpegvideo", "obu"))  # FFmpeg's names of streams without a container
-_MIN_STATED_HZ, _MAX_STATED_HZ = 1.0, 1000.0  # range of their frame rates; others are those of a clock
+_MIN_STATED_HZ, _MAX_STATED_HZ = 1.0, 1000.0  # range of their frame rates; other rates belong to a clock
 _RESET_S = 1.0  # step back in time from which the clock was set back; frames are stored in another order within less
 _MILLISECOND, _ROUNDING_S = Fraction(1, 1000), 0.0006  # time base of Matroska, and largest error of its rounding, s
 
@@ -473,5 +473,5 @@ def _declared_duration_s(container: InputContainer, stream: VideoStream) -> tupl
     is_matroska = container.format.name.startswith("matroska")
     if stream.duration and stream.time_base and not is_matroska:
         return float(stream.duration * stream.time_base), False
-    is_alone = len(container.streams) == 1  # otherwise the duration may be that of an audio stream
+    is_alone = len(container.streams) == 1  # otherwise the duration may belong to an audio stream
     return (container.duration or 0) / av.time_base if is_alone else 0.0, is_matroska

@@ -66,7 +66,7 @@ class _Entry:
     frame: Frame
     small: tuple[Image, Image]
     shift: int | None  # the right image of its moment is that many frames later; None = stereo is off
-    repeated: tuple[bool, bool] = (False, False)  # whether the left and the right image are those of the frame before
+    repeated: tuple[bool, bool] = (False, False)  # whether the left and the right image repeat the frame before
     is_uniform: bool = False  # whether the image that counts as repeated shows nothing: covered, or without a signal
     is_unknown: bool = False  # whether stereo is off since left and right do not agree, which may have other reasons
 

@@ -83,7 +83,7 @@ def arranged(
         gaps_s = [-repeated_s(one, other) for one, other in itertools.pairwise(ordered)]
         steps_s = (file.duration_s + gap_s for file, gap_s in zip(ordered, gaps_s, strict=False))
         starts_s = tuple(itertools.accumulate(steps_s, initial=ordered[0].first_s))
-        # equal dates are those of a copy or of the end of an editor's work: they follow the recording
+        # equal dates come from a copy or an editor, after the recording
         utc = start_of(ordered[0].in_header, ordered[0].in_name, sum(file.duration_s for file in ordered))
     else:
         ordered, stamps_s = [file for file, _ in clock], tuple(stamp.time_s for _, stamp in clock)

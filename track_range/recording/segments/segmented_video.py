@@ -35,7 +35,7 @@ _RATE_DIFFERENCE = 0.01  # relative difference up to which frame rates count as 
 _MAX_OVERLAP_S = 5.0  # longest overlap that is searched; dashcams repeat 1 to 3 s
 
 _LIKE, _ADVICE = " as in other files", "select files of one camera and setting"  # of messages about other sizes
-_MIN_REPEATED_BYTES = 2000  # fewer bytes of equal frames may be those of an empty picture, equal by chance
+_MIN_REPEATED_BYTES = 2000  # fewer bytes of equal frames may belong to an empty picture, equal by chance
 
 
 class SegmentedVideo(RecordedVideo):

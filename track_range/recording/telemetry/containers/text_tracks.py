@@ -144,7 +144,7 @@ def _rove(text: bytes) -> Sample | None:
     if not math.isfinite(utc_s) or not all(math.isfinite(value) for value in (latitude, longitude)):
         return None
     if latitude == _NO_COORDINATE or longitude == _NO_COORDINATE or speed == 0xFFFF:
-        return Sample()  # its time is that of the camera, in another time zone
+        return Sample()  # its time comes from the camera, in another time zone
     is_plain = abs(latitude) <= 90 and abs(longitude) <= 180 and len(text) == 40
     speed_mps = speed * MPS_PER_UNIT["km/h" if len(text) == 40 else "kn"]
     course_deg = math.nan if half_course == 0xFF else half_course * 2.0 % 360

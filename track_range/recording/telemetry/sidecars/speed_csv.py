@@ -57,7 +57,7 @@ _EPOCH_UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3), (1e8, 1.0))  # smalles
 _STEP_UNITS = ((1e7, 1e-9), (1e4, 1e-6), (10.0, 1e-3))  # smallest median step of times since the start, alike
 _UNIT_TOLERANCE, _MIN_MOVING = 0.05, 10  # difference to speeds from positions, and moving samples, that show a unit
 _MAX_VALUE = 1e4  # of speeds in any unit
-_MAX_SCATTER = 0.2  # largest median relative deviation of single speeds from those of the positions
+_MAX_SCATTER = 0.2  # largest median relative deviation of single speeds from the positions' speeds
 
 
 class _Speeds(NamedTuple):
