@@ -32,7 +32,7 @@ def run_of_recordings(arguments: list[str], program: str) -> list[str]:
 
 
 def refuse_expanded(option: str, names: Sequence[str], most: int) -> None:
-    """Raise UsageError if there are more than `most` names, and all are those of recorded files."""
+    """Raise UsageError if there are more than `most` names, and all name recorded files."""
     if len(names) <= most or not all(map(_is_recorded, names)):
         return
     paths = [*map(Path, names)]
@@ -47,7 +47,7 @@ def refuse_expanded(option: str, names: Sequence[str], most: int) -> None:
 
 
 def _is_recorded(name: str) -> bool:
-    """Whether a file name or pattern ends as those of images and videos do."""
+    """Whether a file name or pattern ends as names of images and videos do."""
     from track_range.foundation.files.images import IMAGE_SUFFIXES
     from track_range.recording.segments.segmented_video import VIDEO_SUFFIXES
 

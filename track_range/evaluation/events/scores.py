@@ -3,7 +3,7 @@
 A warning is an event of one of `WARNING_KINDS` with a `warning_s`, and its lead is the time from `warning_s` to the
 contact.
 
-    hit           contact with a warning on its object at least `min_lead_s` before it; with the lead of the first
+    hit           contact with a warning on its object at least `min_lead_s` before it, with the lead of the first
     miss          contact without one; a later warning is too late
     false alarm   warning on an object that has no contact
 
