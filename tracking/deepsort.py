@@ -202,14 +202,14 @@ class DeepSortTracker:
             table.filters = motion.predict(table.filters, dt_s, settings.noise, noise_scale=self._noise_scale.value)
 
     def _moved(self) -> FloatArray:
-        """(M, 4) the boxes of the last frame with any; tracked ones that move by over a third of their size, predicted.
+        """(M, 4) the boxes of the last frame with any; tracked ones that move by over 0.35 of their size, predicted.
 
         These would have an IoU of at most 1/2 with themselves in this frame, without any error.
         """
         boxes_px = self._last_xyxy_px
         _, rows, boxes = np.intersect1d(self._table.track_id, self._last_ids, return_indices=True)
         before, now = motion.cxcywh(boxes_px[boxes]), motion.cxcywh(self._table.filters.xyxy_px[rows])
-        is_far = (np.abs(now - before)[:, :2] > before[:, 2:] / 3).any(axis=1)
+        is_far = (np.abs(now - before)[:, :2] > 0.35 * before[:, 2:]).any(axis=1)
         boxes_px[boxes[is_far]] = self._table.filters.xyxy_px[rows[is_far]]
         return boxes_px
 
