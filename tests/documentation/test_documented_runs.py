@@ -25,7 +25,7 @@ RUNS = {
     ),
     "track-range --stereo left/ right/ --rig calib.txt --detections det.txt --truth labels.txt --out results": (
         [f"results/{name}" for name in RESULTS],
-        ("Results in results", "Distance error"),
+        ("Results in results", "Accuracy against"),
     ),
     "track-range track det.txt --out tracks": (["tracks/mot/det.txt"], ("tracks/mot",)),
     "track-range evaluate tracks --truth labels/ --results tracks --class car": ([], ("HOTA", "IDF1")),

@@ -134,12 +134,19 @@ def test_truth_is_not_read_by_methods(drive, simulated_run, track_range, tmp_pat
         np.testing.assert_array_equal(without[name], with_truth[name])
 
 
-def test_tables_are_printed(simulated_run):
-    _, stdout, _ = simulated_run
-    printed = " ".join(stdout.split())
-    for words in ("fused_kf", "stereo", "MOTA", "ms/frame", "found next to the left video", "common coverage"):
-        assert words in printed
-    assert "\r" not in stdout
+def test_what_happened_is_printed_and_tables_with_verbose(simulated_run, drive, track_range, tmp_path):
+    brief = simulated_run[1]
+    inputs = ("--stereo", drive.left, drive.right, "--detections", drive.detections, "--truth", drive.truth)
+    verbose = track_range(
+        *inputs, "--align", "off", "--no-overlay", "--duration", 0.3, "--verbose", "--out", tmp_path / "v"
+    )
+    assert "\r" not in brief
+    for words in ("found next to the left video", "Road users", "Accuracy against the ground truth", "MOTA"):
+        assert words in brief
+        assert words in verbose
+    for words in ("fused_kf", "ms/frame", "common coverage"):
+        assert words not in brief
+        assert words in " ".join(verbose.split())
 
 
 @pytest.mark.slow

@@ -19,7 +19,7 @@ from track_range.results.columns import Columns
 from track_range.results.events.event import Event
 from track_range.stereo.alignment.model import MAX_ROW_OFFSET_PX
 from track_range.views.report import tables
-from track_range.views.report.content.events import kind_counts, object_words, sigma_words, time_words
+from track_range.views.report.content.events import kind_counts, kind_words, object_words, sigma_words, time_words
 from track_range.views.report.content.series import column
 from track_range.views.report.tables import Summary
 
@@ -71,7 +71,10 @@ def event_headline(events: Sequence[Event]) -> dict[str, Any]:
     warnings = sorted((event for event in events if np.isfinite(event.warning_s)), key=lambda event: event.warning_s)
     n_events = counted(len(events), "event")
     if not warnings:
-        return _headline(n_events, f"{', '.join(kind_counts(events))}; none has a warning")
+        if len(events) > 1:
+            return _headline(n_events, f"{', '.join(kind_counts(events))}, without a warning")
+        what, start_s = f"{kind_words(events[0].kind)}, {object_words(events[0])}", events[0].start_s
+        return _headline(n_events, f"{what} at {time_words(start_s)}, without a warning", start_s)
     first, n = warnings[0], len(warnings)
     text = f"{object_words(first)} at {time_words(first.warning_s)}"
     text = text if n == 1 else f"the first for {text}"
@@ -91,7 +94,7 @@ def _nearest_headline(users: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     if not users or users[0]["min_distance_m"] is None:
         return _headline("No distance", "no distance to a road user was measured")
     sigma_m = users[0]["min_distance_sigma_m"]
-    uncertainty = "" if sigma_m is None else f" (± {sigma_words(sigma_m)} m)"
+    uncertainty = "" if sigma_m is None else f" (±{sigma_words(sigma_m)} m)"
     figure, words = f"{users[0]['min_distance_m']:.1f} m", f"smallest distance from the camera{uncertainty}"
     return _user_moment(users[0], "min_distance_m", figure, words)
 

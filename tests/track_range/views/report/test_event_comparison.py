@@ -174,7 +174,7 @@ def test_headlines_of_events() -> None:
     assert (first["figure"], first["time_s"]) == ("1 warning", 1.5)
     assert nearest == {
         "figure": "16.1 m",
-        "words": "smallest distance from the camera (± 0.5 m): car 1 at 3.9 s",
+        "words": "smallest distance from the camera (±0.5 m): car 1 at 3.9 s",
         "time_s": 3.9,
     }
     assert (collision["figure"], collision["time_s"]) == ("2.5 s", 0.7)

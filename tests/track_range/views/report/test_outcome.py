@@ -44,7 +44,8 @@ def test_events_in_lines():
     assert first == "1 warning: car 7 at 2.1 s; 7 events in all."
     assert len(lines) == 5
     assert more.strip().startswith("and 2 events more")
-    assert next(event_lines(others[:2])) == f"2 events: 2 {TIMES} near miss; none has a warning."
+    assert next(event_lines(others[:2])) == f"2 events: 2 {TIMES} near miss, without a warning."
+    assert next(event_lines(others[2:3])) == "1 event: near miss, car 7 at 2.0 s, without a warning."
 
 
 def test_accuracy_in_lines():
