@@ -7,14 +7,15 @@
                                                                          distance and size before
     3. update matched    tracks get their detections; tentative ones are confirmed
     4. initiate          unmatched high-confidence detections become tentative tracks
-    5. output            confirmed tracks, with detected boxes, or predicted ones for a short time
+    5. output            confirmed tracks, with detected (or smoothed) boxes, or predicted ones for a short time
 
 After SORT (Bewley et al., 2016), DeepSORT (Wojke et al., 2017), ByteTrack (Zhang et al., 2022) and C-BIoU (Yang et al.,
 2023). The track-activation threshold, which separates high from low confidence, is estimated from the persistence of
 detections (`confidence_threshold`), the process-noise scale from the innovations (`motion`), so that one set of
 parameters suits well-calibrated and over-confident detectors, static and driving cameras. The output is the detected
-box instead of the filter's estimate, because the estimate's edges lag. The chi-square gate applies to appearance only:
-boxes cut off by the image border or by an occluder do not follow the motion model, and IoU is a gate by itself.
+box instead of the filter's estimate, because distances are measured on it, whose filters expect independent errors; the
+command `track` smooths it. The chi-square gate applies to appearance only: boxes cut off by the image border or by an
+occluder do not follow the motion model, and IoU is a gate by itself.
 """
 
 from dataclasses import dataclass, field, replace
@@ -74,6 +75,7 @@ class DeepSortSettings:
     max_age_s: float = 4.0  # longest time without a detection before a track is deleted
     max_position_sigma: float = 2.0  # largest standard deviation of a position, in heights of the box
     score_half_life_s: float = 0.2  # time in which the score of a predicted box halves
+    is_smoothed: bool = False  # whether detected boxes in the output are drawn towards the motion filters
     classes: Classes = "similar"  # which classes may be one object
     is_camera_motion_compensated: bool = True  # whether predictions move with the background, where there are images
     noise: MotionNoise = field(default_factory=MotionNoise)  # noise of the motion filters
@@ -146,14 +148,14 @@ class DeepSortTracker:
             self._last_detected_s = time_s
             self._last_xyxy_px, self._last_ids = detections.xyxy_px.copy(), np.zeros(len(detections), np.int64)
             self._last_ids[matched] = self._table.track_id[tracks]
-        return self._output(time_s, image)
+        return self._smoothed(self._output(time_s, image))
 
     @property
     def tentative(self) -> Tracks:
         """The tracks detected in the last frame that are not confirmed yet."""
         table = self._table
         is_detected = table.history.last_s == self._last_s
-        return self._as_tracks((is_detected & ~table.is_confirmed).nonzero()[0], is_detected)
+        return self._smoothed(self._as_tracks((is_detected & ~table.is_confirmed).nonzero()[0], is_detected))
 
     def track_activation_threshold(self, class_id: IntArray) -> FloatArray:
         """(N,) minimum score at which a detection of a class (N,) starts a track, as estimated so far."""
@@ -263,13 +265,6 @@ class DeepSortTracker:
             cost[~allowed[i[:, None], j]] = np.inf
             assignment.match_subset(cost, i, j, max_cost=1 - settings.min_iou_tentative)
         return assignment
-        i, j = assignment.unmatched(~confirmed, is_high)
-        if len(i) and len(j):
-            cost = iou_cost(boxes_px[i], detections.xyxy_px[j], margin=settings.tentative_margin)
-            cost[~allowed[i[:, None], j]] = np.inf
-            assignment.match_subset(cost, i, j, max_cost=1 - settings.min_iou_tentative)
-
-        return assignment
 
     def _update_matched(self, rows: IntArray, detections: Detections, matched: IntArray, time_s: float) -> None:
         """Stage 3: update the matched tracks, confirm tentative ones, and update the process-noise scale.
@@ -328,6 +323,14 @@ class DeepSortTracker:
         boxes_px = xyxy_px.take(rows, axis=0)
         return Tracks(table.track_id[rows], boxes_px, table.class_id[rows], score[rows], is_detected[rows])
 
+    def _smoothed(self, tracks: Tracks) -> Tracks:
+        """The tracks with smoothed boxes where they were detected, if the settings ask for them."""
+        if not self._settings.is_smoothed or not len(tracks):
+            return tracks
+        filters = self._table.filters.select(np.searchsorted(self._table.track_id, tracks.track_id))
+        boxes_px = motion.smoothed(filters, tracks.xyxy_px)
+        return replace(tracks, xyxy_px=np.where(tracks.observed[:, None], boxes_px, tracks.xyxy_px))
+
     def _as_tracks(self, rows: IntArray, is_detected: BoolArray) -> Tracks:
         """The tracks in these rows of the tracks detected in this frame (N,), with the detected boxes."""
         table = self._table
@@ -337,10 +340,11 @@ class DeepSortTracker:
 
 def deepsort(options: TrackerOptions) -> DeepSortTracker:
     """`--tracker deepsort`: appearance from the user's re-identification network, or from colour histograms."""
-    return DeepSortTracker(appearance_model=options.reid or ColourLayout(), flow=options.flow)
+    settings = DeepSortSettings(is_smoothed=options.is_smoothed)
+    return DeepSortTracker(settings, appearance_model=options.reid or ColourLayout(), flow=options.flow)
 
 
 def sort(options: TrackerOptions) -> DeepSortTracker:
     """`--tracker sort`: the same tracker without appearance."""
-    settings = DeepSortSettings(appearance=AppearanceSettings(max_cosine_distance=0.0))
-    return DeepSortTracker(settings, flow=options.flow)
+    appearance = AppearanceSettings(max_cosine_distance=0.0)
+    return DeepSortTracker(DeepSortSettings(is_smoothed=options.is_smoothed, appearance=appearance), flow=options.flow)

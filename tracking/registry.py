@@ -67,6 +67,7 @@ class TrackerOptions:
 
     reid: AppearanceModel | None = None  # network of `--reid`; None = the tracker's default appearance model, if any
     flow: BackgroundFlow | None = None  # shared with the odometry of the run; None = none to share
+    is_smoothed: bool = False  # whether boxes may be smoothed over time: not where distances are measured on them
 
 
 TrackerFactory = Callable[[TrackerOptions], ObjectTracker]  # class or function that makes a tracker

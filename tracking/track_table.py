@@ -17,6 +17,7 @@ from track_range.tracking.motion import MotionNoise
 # Lead in votes that changes a class, in standard deviations of the difference of random votes. Of tracks with a random
 # one of two classes in each frame, 0.2 % change more than once in 100 frames; nine votes correct three wrong ones.
 _MIN_LEAD = 1.5
+_PERSON = ROAD_CLASSES.index("person")
 
 
 class TrackTable:
@@ -67,7 +68,8 @@ class TrackTable:
         `is_streak` (M,) is whether a track was also detected in the previous frame.
         """
         xyxy_px, score = detections.xyxy_px.take(matched, axis=0), detections.score[matched]
-        filters, innovation = motion.update(self.filters.select(rows), xyxy_px, noise)
+        is_person = self.class_id[rows] == _PERSON
+        filters, innovation = motion.update(self.filters.select(rows), xyxy_px, noise, is_person)
         self.filters.assign(rows, filters)
         self.innovation[rows] = innovation[:, :2]
         self.history.append(rows, xyxy_px, time_s, is_streak=is_streak)

@@ -57,6 +57,16 @@ def test_output_is_the_detected_box() -> None:
         assert tracks.score.tolist() == [0.9]
 
 
+def test_smoothed_boxes_lie_between_detection_and_filter() -> None:
+    frames = [car_at(100), car_at(104), car_at(115), car_at(113)]
+    tracker = DeepSortTracker(DeepSortSettings(is_smoothed=True))
+    *_, before, last = drive(tracker, frames)
+    assert before.xyxy_px[0, 0] < 115.0  # the filter lags behind the jump ...
+    assert 113.0 < last.xyxy_px[0, 0] < 115.0  # ... and expects more of it
+    np.testing.assert_allclose(last.xyxy_px[:, 2:] - last.xyxy_px[:, :2], [[60.0, 40.0]])
+    assert tracker.tentative.xyxy_px.shape == (0, 4)
+
+
 def test_later_tracks_are_tentative_first() -> None:
     out = drive(DeepSortTracker(), [Detections.empty(), car_at(100), car_at(102), car_at(104)])
     assert [len(tracks) for tracks in out] == [0, 0, 1, 1]

@@ -15,6 +15,7 @@ from track_range.tracking.motion import (
     gating_distance,
     initiate,
     predict,
+    smoothed,
     transformed,
     update,
 )
@@ -23,7 +24,7 @@ NOISE = MotionNoise()
 
 
 def step(filters: BoxFilters, dt_s: float, xyxy_px: np.ndarray, noise: MotionNoise = NOISE) -> BoxFilters:
-    return update(predict(filters, dt_s, noise), xyxy_px, noise)[0]
+    return update(predict(filters, dt_s, noise), xyxy_px, noise, np.ones(len(filters), np.bool_))[0]
 
 
 def covariance(filters: BoxFilters) -> np.ndarray:
@@ -57,7 +58,7 @@ def oracle_step(filter8: KalmanFilter, dt_s: float, height_px: float, z: np.ndar
 @settings(max_examples=20, deadline=None)
 def test_equals_filterpy_on_random_sequences(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    noise = MotionNoise(measured=0.04, drift=0.2, acceleration=1.5, first_rate=2.0)
+    noise = MotionNoise(measured=0.04, drift=0.2, acceleration=1.5, first_rate=2.0, person_size_rate=1.0)
     boxes = np.concatenate([rng.uniform(0, 500, (3, 2)), rng.uniform(20, 200, (3, 2))], axis=1)
     xyxy = np.concatenate([boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2], axis=1)
     filters, oracles = initiate(xyxy, noise), [oracle(box, noise) for box in boxes]
@@ -175,7 +176,7 @@ def test_innovations_are_standard_normal() -> None:
         value = value + rate * dt_s + half * (w1 + w2 / np.sqrt(3)) + rng.normal(0, 0.1 * height * 0.1**0.5, (n, 2))
         rate = rate + noise.acceleration * height * dt_s**0.5 * w1
         filters = predict(filters, dt_s, noise)
-        filters, innovation = update(filters, box(value), noise)
+        filters, innovation = update(filters, box(value), noise, np.zeros(len(filters), np.bool_))
         innovations.append(innovation[:, :2])
     squared = np.sum(np.square(innovations), axis=2).ravel()
     for fraction in (0.5, 0.9, 0.99):
@@ -204,3 +205,20 @@ def test_camera_motion_of_past_boxes() -> None:
     past = np.array([[[np.nan] * 4, [120.0, 90.0, 40.0, 80.0]], [[0.0, 0.0, 2.0, 4.0], [1.0, 0.0, 2.0, 4.0]]])
     expected = [[[np.nan] * 4, [-170.0, 240.0, 80.0, 160.0]], [[10.0, 0.0, 4.0, 8.0], [10.0, 2.0, 4.0, 8.0]]]
     np.testing.assert_allclose(transformed(past, now_from_before), expected)
+
+
+def test_rates_of_persons_sizes_have_a_lower_gain() -> None:
+    predicted = predict(initiate(BOX.repeat(2, axis=0), NOISE), 0.1, NOISE)
+    grown = np.array([[102.0, 54.0, 148.0, 142.0]] * 2)  # cx + 5, cy + 8, w + 6, h + 8
+    updated, _ = update(predicted, grown, NOISE, np.array([False, True]))
+    np.testing.assert_allclose(updated.v[1], updated.v[0] * [1.0, 1.0, 0.2, 0.2])
+    np.testing.assert_array_equal(updated.x[1], updated.x[0])
+    np.testing.assert_allclose(updated.v[0] / [5.0, 8.0, 6.0, 8.0], updated.v[0, 0] / 5.0)
+
+
+def test_smoothed_box_has_the_filters_size_and_a_third_of_its_shift() -> None:
+    filters = BoxFilters(
+        np.array([[120.0, 90.0, 40.0, 80.0]]), np.zeros((1, 4)), *np.full((3, 1), 1.0), np.array([80.0])
+    )
+    detected = np.array([[108.0, 50.0, 144.0, 142.0]])  # centre 126, 96; 36 x 92
+    np.testing.assert_allclose(smoothed(filters, detected), [[104.0, 54.0, 144.0, 134.0]])  # centre 124, 94; 40 x 80

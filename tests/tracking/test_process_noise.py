@@ -67,7 +67,7 @@ def test_scale_converges_to_true_noise(true_noise: float, low: float, high: floa
         rate = rate + noise.acceleration * height * dt_s**0.5 * acceleration
         filters = predict(filters, dt_s, noise, noise_scale=scale.value)
         z = box()
-        filters, innovation = update(filters, z, noise)
+        filters, innovation = update(filters, z, noise, np.zeros(len(filters), np.bool_))
         now = innovation[:, :2]
         if before is not None:
             scale.update(before, now)

@@ -40,11 +40,12 @@ class Variant:
 
 
 VARIANTS: Mapping[str, Variant] = {
-    "track-range": Variant(DeepSortSettings()),
+    "track-range": Variant(DeepSortSettings(is_smoothed=True)),
     "track-range, sort": Variant(
-        DeepSortSettings(appearance=AppearanceSettings(max_cosine_distance=0.0)), needs_embeddings=True
+        DeepSortSettings(is_smoothed=True, appearance=AppearanceSettings(max_cosine_distance=0.0)),
+        needs_embeddings=True,
     ),
-    "track-range, offline": Variant(DeepSortSettings(), is_online=False),
+    "track-range, offline": Variant(DeepSortSettings(is_smoothed=True), is_online=False),
 }
 """Configurations of track-range by their name in the table."""
 
@@ -160,7 +161,7 @@ def _speed(pythons: Mapping[str, Path], n_rounds: int) -> dict[str, dict[int, fl
 def _mean_times_us(scenes: Sequence[tracking_sets.Sequence]) -> list[float]:
     means = []
     for sequence in scenes:
-        tracker, us = DeepSortTracker(), []
+        tracker, us = DeepSortTracker(VARIANTS[COMPARED].settings), []
         for frame in range(sequence.n_frames):
             boxes = sequence.detected.at(frame)
             start_s = time.process_time()

@@ -82,7 +82,7 @@ def track(
         for folder in (find.MOT_FOLDER, find.KITTI_FOLDER):
             if real_path(settings.out / folder / f"{sequence.name}.txt") == real_path(sequence.path):
                 raise OutputError(f"{sequence.path}: the result would overwrite this input; choose another --out.")
-    tracker_options = open_tracker_options(settings.reid)
+    tracker_options = replace(open_tracker_options(settings.reid), is_smoothed=True)
     reid_notes = () if tracker_options.reid is None else tracker_options.reid.notes
     for sentence in (*find.ignored_files_note(settings.detections, sequences), *reid_notes):
         note(sentence)
