@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from track_range.detection.box_errors import BoxErrors, box_errors_of
@@ -17,7 +19,10 @@ from track_range.detection.detector import DetectorError, ObjectDetector, checke
 from track_range.detection.formats.box_table import VideoFacts
 from track_range.detection.formats.detection_files import RecordedDetections, read_detections
 from track_range.detection.yolo.detector import YoloDetector
-from track_range.foundation.arrays import IntArray
+from track_range.foundation.arrays import FloatArray, Image, IntArray
+from track_range.foundation.errors import UsageError
+from track_range.foundation.files.input_files import quoted
+from track_range.recording.cameras.calibration import RecordingCalibration
 from track_range.recording.recording import Recording
 from track_range.run.options.detection import DetectionOptions
 from track_range.run.options.opened import DetectorOptions, open_detector
@@ -25,6 +30,7 @@ from track_range.run.settings import RunSettings
 from track_range.stereo.geometry.frames import Frame
 
 _MIN_SHOWN = 0.5  # smallest fraction of a recorded box inside the undistorted image of a wide lens that is used
+_MOST_INSIDE = 0.5  # fraction of the area of a box in the regions of --ignore above which it is dropped
 
 CANDIDATE_SCORE = np.where(np.isin(ROAD_CLASSES, ("person", "bicycle")), 0.02, 0.1)
 """(8,) minimum confidence of the candidates for anonymization by road class: low for people, since the regions of false
@@ -115,6 +121,69 @@ def boxes_of(detector: ObjectDetector) -> BoxSource:
         notes=lambda: tuple(getattr(detector, "notes", ())),
         box_errors=box_errors,
     )
+
+
+def outside_regions(source: BoxSource, regions: str | None, calibration: RecordingCalibration) -> BoxSource:
+    """The source without the boxes that are mostly in the regions of `--ignore`; None = no regions.
+
+    UsageError: the regions are neither polygons nor a mask image of the size of the video.
+    """
+    if regions is None:
+        return source
+    detect, prepare = source.detect, source.prepare
+    area_px = cv2.integral(region_mask(regions, calibration.sizes_px[0])).astype(
+        np.int64
+    )  # (H + 1, W + 1) of the regions up to a pixel
+
+    def outside(detections: Detections) -> Detections:
+        recorded_px = calibration.rectifier.recorded_boxes(detections.xyxy_px)
+        return detections.select(_fraction_inside(area_px, recorded_px) <= _MOST_INSIDE)
+
+    def prepared(prepare: Callable[[Frame], Callable[[], Detections]], frame: Frame) -> Callable[[], Detections]:
+        detect_prepared = prepare(frame)
+        return lambda: outside(detect_prepared())
+
+    outside_prepared = None if prepare is None else partial(prepared, prepare)
+    return replace(source, detect=lambda frame: outside(detect(frame)), prepare=outside_prepared)
+
+
+def region_mask(regions: str, size_px: tuple[int, int]) -> Image:
+    """(H, W) uint8, 1 in the regions: polygons `x,y x,y x,y / ...` in pixels of the video, or a mask's bright part."""
+    width, height = size_px
+    expected = (
+        "--ignore (Python ignore): expected polygons 'x,y x,y x,y / ...' in pixels, or a mask image of the size of the "
+        f"video, {width}x{height} px"
+    )
+    if Path(regions).suffix.lower() in (".png", ".bmp", ".jpg", ".jpeg"):
+        image = cv2.imread(regions, cv2.IMREAD_GRAYSCALE) if Path(regions).is_file() else None
+        if image is None:
+            raise UsageError(f"{expected}, found no readable image {quoted(regions)}.")
+        if image.shape != (height, width):
+            raise UsageError(f"{expected}, found one of {image.shape[1]}x{image.shape[0]} px, {quoted(regions)}.")
+        mask = (image > 127).astype(np.uint8)
+    else:
+        mask = np.zeros((height, width), np.uint8)
+        for text in regions.split("/"):
+            try:
+                points = np.array([[float(value) for value in point.split(",")] for point in text.split()])
+                if points.shape[0] < 3 or points.shape[1] != 2 or not (np.abs(points) < 1e5).all():
+                    raise ValueError("no polygon")
+            except (ValueError, IndexError):
+                raise UsageError(f"{expected}, found {quoted(text.strip())}.") from None
+            cv2.fillPoly(mask, [np.rint(points).astype(np.int32)], 1)
+    if not mask.any():
+        raise UsageError(f"{expected}, found no pixel of the image in {quoted(regions)}.")
+    return mask
+
+
+def _fraction_inside(area_px: IntArray, xyxy_px: FloatArray) -> FloatArray:
+    """(N,) fraction of the area of boxes within the image that is in the regions."""
+    height, width = area_px.shape[0] - 1, area_px.shape[1] - 1
+    edges = np.clip(np.nan_to_num(xyxy_px) + 0.5, 0, [width, height, width, height])  # pixel i runs from i - 0.5
+    x1, y1, x2, y2 = np.rint(edges).astype(np.int64).T
+    inside = area_px[y2, x2] - area_px[y1, x2] - area_px[y2, x1] + area_px[y1, x1]
+    fraction: FloatArray = inside / np.maximum((x2 - x1) * (y2 - y1), 1)
+    return fraction
 
 
 def class_name(value: object) -> str:

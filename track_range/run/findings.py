@@ -10,6 +10,8 @@ import numpy as np
 from track_range.detection.detections import Detections
 from track_range.pipeline.frame_result import FrameResult
 from track_range.ranging.registry import methods
+from track_range.recording.cameras.calibration import RecordingCalibration
+from track_range.results.columns import Columns, boxes_px
 from track_range.stereo.geometry.frames import Frame, ImageView
 from track_range.stereo.geometry.rig import StereoRig
 
@@ -23,6 +25,8 @@ _BRIGHTER = 20.0  # by which the lower third is brighter than the upper one in i
 _MIN_SCORE, _MIN_BOXES, _MANY_MORE = 0.5, 4, 3.0  # of boxes that show it; by day fewer more are enough
 _MIN_DISPARITY_PX = 2.0  # below it, stereo can hardly measure
 _MIN_TRACKED = 20  # boxes of which none has a distance that are worth a note
+_STILL_SPEED_MPS, _STILL_S, _STILL_FRAMES = 3.0, 10.0, 50  # of a drive with boxes that do not move
+_STILL, _EDGE = 0.001, 0.15  # standard deviation of the edges of such a box in image widths; its zone in image heights
 
 Levels = tuple[float, float, float]  # mean and standard deviation of grey levels 0 to 255; lower minus upper third
 
@@ -99,6 +103,32 @@ class Findings:
             sum(int((detect(frame).score >= _MIN_SCORE).sum()) for frame in frames) for frames in (rotated, self._kept)
         )
         return n_rotated >= max(_MIN_BOXES, n_upright + 1 if is_brighter_below else _MANY_MORE * n_upright)
+
+
+def still_boxes_note(columns: Columns, calibration: RecordingCalibration) -> tuple[str, ...]:
+    """A note that proposes `--ignore` for tracks that do not move in the image while the car drives.
+
+    They are at the upper or lower edge, where a vehicle ahead at a constant distance is not; the pitch moves that too.
+    """
+    width, height = calibration.sizes_px[0]
+    rows = np.flatnonzero((columns["ego_mps"] >= _STILL_SPEED_MPS) & (columns["observed"] > 0))
+    box, time_s = calibration.rectifier.recorded_boxes(boxes_px(columns)[rows]), columns["time_s"][rows]
+    track, first, group, n = np.unique(columns["track_id"][rows], True, True, True)
+    last = np.zeros(len(track), np.int64)
+    last[group] = np.arange(len(rows))
+    mean, square = (np.stack([np.bincount(group, edge) / n for edge in values.T], axis=1) for values in (box, box**2))
+    deviation = np.sqrt(np.maximum(square - mean**2, 0)).max(axis=1)
+    at_edge = (mean[:, 3] > (1 - _EDGE) * height) | (mean[:, 1] < _EDGE * height)
+    is_long = (time_s[last] - time_s[first] >= _STILL_S) & (n >= _STILL_FRAMES)
+    still = np.flatnonzero((deviation < _STILL * width) & at_edge & is_long)[:3]
+    if not len(still):
+        return ()
+    corners = np.rint(mean[still]).astype(int)
+    polygons = " / ".join(f"{x1},{y1} {x2},{y1} {x2},{y2} {x1},{y2}" for x1, y1, x2, y2 in corners)
+    return (
+        f"Track {', '.join(f'{name:g}' for name in track[still])} did not move in the image while the car drove. If it "
+        f"is the bonnet, or text in the image, drop its boxes with --ignore '{polygons}' (Python ignore).",
+    )
 
 
 def _levels(image: ImageView) -> Levels:

@@ -38,9 +38,8 @@ from track_range.recording.pairs.sync_monitor import SyncMonitor
 from track_range.results.events.event import Event
 from track_range.results.events.finder import EventFinder
 from track_range.results.table import RecentRows
-from track_range.run.box_source import boxes_of, network_source
+from track_range.run.box_source import boxes_of, network_source, outside_regions
 from track_range.run.build import open_pipeline
-from track_range.run.ignored import outside_regions
 from track_range.run.options.opened import open_detector
 from track_range.run.ready_model import ready_model
 from track_range.run.settings import PipelineOptions, RunSettings

@@ -9,7 +9,6 @@ from collections.abc import Callable, Generator, Mapping
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
 from dataclasses import replace
 from functools import cache, partial
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from rich.console import Console
 from track_range.calibration.road.from_road import focal_from_video
 from track_range.detection.detector import ObjectDetector
 from track_range.detection.yolo.detector import YoloDetector
+from track_range.foundation.installed import conflicts, installed_versions
 from track_range.foundation.progress import StepProgress
 from track_range.foundation.schema_version import SCHEMA_VERSION
 from track_range.pipeline.frame_result import FrameResult
@@ -47,10 +47,9 @@ from track_range.results.summary import (
 )
 from track_range.results.table import RunRows
 from track_range.results.writers import RunInfo
-from track_range.run.box_source import boxes_of, open_box_source
+from track_range.run.box_source import boxes_of, open_box_source, outside_regions
 from track_range.run.build import open_input, open_pipeline
-from track_range.run.findings import Findings
-from track_range.run.ignored import outside_regions, still_boxes_note
+from track_range.run.findings import Findings, still_boxes_note
 from track_range.run.options.opened import DetectorOptions
 from track_range.run.pictures import missing_outputs
 from track_range.run.progress import step_progress
@@ -240,6 +239,7 @@ class RunSession:
         notes = [
             *([ANONYMIZED] if settings.anonymize else []),
             *boxes,
+            *conflicts(),
             *(self.truth.notes if self.truth is not None else ()),
             *self.recording.notes,
             *self.speed.notes,
@@ -343,7 +343,8 @@ class RunSession:
 
 @cache
 def _versions() -> dict[str, str]:
-    return {"python": platform.python_version(), **{name: version(name) for name in _LIBRARIES}}
+    libraries = [item for name in _LIBRARIES for item in installed_versions(name).items()]
+    return {"python": platform.python_version(), **dict(libraries)}
 
 
 def _region_of(track: TelemetryTrack | None) -> Region:

@@ -87,6 +87,17 @@ def test_devices(cli, monkeypatch, boxes, is_right, words):
 
 
 @pytest.mark.usefixtures("only_quick_checks")
+def test_several_distributions_of_a_package(cli, monkeypatch):
+    found = {"opencv-python-headless": "5.0", "opencv-python": "4.9"}
+    monkeypatch.setattr(doctor, "installed_versions", lambda name: found if "opencv" in name else {name: "1"})
+    monkeypatch.setattr(doctor, "conflicts", lambda: ("Uninstall both.",))
+    status, text, _ = cli("doctor", "--json")
+    report = json.loads(text)
+    assert report["versions"]["opencv-python-headless"] == "5.0, 4.9 (opencv-python)"
+    assert (status, report["checks"]["packages"]) == (1, "Uninstall both.")
+
+
+@pytest.mark.usefixtures("only_quick_checks")
 def test_full_disk(cli, monkeypatch):
     monkeypatch.setattr(doctor, "MIN_FREE_BYTES", 10**18)
     status, text, complaint = cli("doctor", "--json")

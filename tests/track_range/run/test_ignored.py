@@ -8,8 +8,8 @@ import track_range as tr
 from track_range.detection.detections import Detections
 from track_range.foundation.errors import UsageError
 from track_range.recording.cameras.calibration import calibration_of
-from track_range.run.box_source import boxes_of
-from track_range.run.ignored import outside_regions, region_mask, still_boxes_note
+from track_range.run.box_source import boxes_of, outside_regions, region_mask
+from track_range.run.findings import still_boxes_note
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 

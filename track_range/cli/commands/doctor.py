@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Mapping
 from functools import cache, partial
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, requires, version
+from importlib.metadata import requires
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, get_args
 
@@ -25,6 +25,7 @@ from track_range.cli.parameters import command
 from track_range.detection.models.devices import Device
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.errors import UserError
+from track_range.foundation.installed import conflicts, installed_versions
 from track_range.foundation.options import Options, option
 from track_range.foundation.processes import n_usable_cores
 
@@ -112,10 +113,13 @@ def extras() -> dict[str, str]:
 
 
 def _version(name: str) -> str:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return _NOT_INSTALLED
+    return (
+        ", ".join(
+            text if distribution == name else f"{text} ({distribution})"
+            for distribution, text in installed_versions(name).items()
+        )
+        or _NOT_INSTALLED
+    )
 
 
 class _Tested(NamedTuple):
@@ -223,7 +227,7 @@ def _text(describe: Callable[[], str]) -> str:
 
 def _check_packages() -> str:
     missing = [name for name in PACKAGES if _version(name) == _NOT_INSTALLED]
-    return f"not installed: {', '.join(missing)}; reinstall track-range" if missing else ""
+    return f"not installed: {', '.join(missing)}; reinstall track-range" if missing else " ".join(conflicts())
 
 
 def _check_codecs() -> str:
