@@ -37,7 +37,7 @@ def read_supervision(
     """The M boxes of road classes among `boxes`.
 
     `boxes` has `xyxy` (N, 4) and optionally `confidence`, `class_id`, `tracker_id` (N,) and `data`. The names of the
-    class ids are `class_names`, else those in `data["class_name"]`, else COCO's. ValueError for arrays of unequal
+    class ids are `class_names`, else the names in `data["class_name"]`, else COCO's. ValueError for arrays of unequal
     length, or a class id without a name.
 
     Returns:

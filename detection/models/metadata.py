@@ -107,7 +107,7 @@ def _rfdetr_metadata(metadata: Mapping[str, str]) -> dict[str, str]:
     return texts
 
 
-RT_DETR_DESCRIPTION = "RT-DETR by its description"  # of older Ultralytics, whose metadata have no more
+RT_DETR_DESCRIPTION = "RT-DETR, according to its description"  # of older Ultralytics, whose metadata have no more
 
 
 def _parsed(parse: Callable[[Any], Any], value: object, place: str) -> Any:

@@ -216,7 +216,11 @@ class ScaleCheck:
     def notes(self) -> tuple[str, ...]:
         """Messages for the user so far."""
         spans = ", ".join(f"{start:.1f} to {end:.1f} s" for start, end in self._past_s)
-        past = (f"The scale was in doubt from {spans}: sigmas are wider there, without alarms.",) if spans else ()
+        past = (
+            (f"The scale was in doubt from {spans}: sigmas are wider in this time, and no alarms are given.",)
+            if spans
+            else ()
+        )
         if self.doubt is not None:
             return (*past, f"{self.doubt.sentence(self.baseline_m)} {_EFFECT}")
         return past if self.baseline_m is None else (*past, self.agreement.sentence)

@@ -179,7 +179,7 @@ def _notes(settings: RangeEvaluationSettings, n_sequences: int, n_folds: int) ->
     if settings.fit_frames is not None:
         scheme = f"fitted to the frames of {settings.fit_frames}"
     elif settings.same_drive:
-        scheme = "fitted and tested on the same drive, as by Zhang et al. (no measure of the error on other drives)"
+        scheme = "fitted and tested on the same drive, as Zhang et al. did (no measure of the error on other drives)"
     elif n_sequences == 1:
         scheme = "fitted and tested on the only sequence"
     fitted = "the labels' exact boxes" if settings.fit_on == "labels" else "boxes of the same kind as the measured ones"

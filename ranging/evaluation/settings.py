@@ -37,7 +37,7 @@ class RangeEvaluationSettings(Options):
     ] = False
     same_drive: Annotated[
         bool,
-        option("Size curves fitted to the sequence that they are evaluated on, as by Zhang et al. (too optimistic)."),
+        option("Size curves fitted to the sequence that they are evaluated on, as Zhang et al. did (too optimistic)."),
     ] = False
     fit_on: Annotated[
         Literal["labels", "boxes"],

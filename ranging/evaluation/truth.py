@@ -32,7 +32,9 @@ MIN_VISIBLE_FRACTION = 0.5  # of objects scored for distance; corresponds to KIT
 _CUT_PX = 1.0  # distance from the image border within which a label counts as cut; labels are clipped to the image
 _MIN_DETECTABLE_FRACTION = 0.2  # visible fraction to be scored for detection; KITTI's "largely occluded"
 
-_SCORED = "tracks matched to labels one to one at IoU 0.5; coverage: measured track-frames over those with truth"
+_SCORED = (
+    "tracks matched to labels one to one at IoU 0.5; coverage: measured track-frames divided by track-frames with truth"
+)
 
 KITTI_PROTOCOL = (
     "z at which the ray through a label's box centre first meets its 3-D box "

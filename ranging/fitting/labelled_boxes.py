@@ -91,7 +91,7 @@ class BoxSet:
 
     @classmethod
     def without_3d_boxes(cls, **columns: Any) -> BoxSet:
-        """Boxes without 3-D boxes, whose orientation and occlusion are unknown, from the other columns."""
+        """Boxes from the columns of a table without 3-D boxes, with unknown orientation and occlusion."""
         n = len(columns["frame"])
         nan, occluded = np.full(n, np.nan), np.zeros(n, np.int64)
         size_hwl_m = np.full((n, 3), np.nan)

@@ -4,7 +4,7 @@
     inverse      1 / d = a + b s                 pinhole model with an offset
     log-linear   log d = a + b log h + c log w + e |tan bearing|
 
-Sizes s, w, h are divided by the focal length. Polynomials are fitted by least squares in d, as by Zhang et al., the
+Sizes s, w, h are divided by the focal length. Polynomials are fitted by least squares in d, as Zhang et al. did, the
 inverse in (a + b s) d - 1 (the relative error), the log-linear curve in log d. A polynomial may increase or become
 negative outside the fitted sizes; `SAFE_CURVES` make it monotonically decreasing and positive.
 

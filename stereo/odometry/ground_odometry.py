@@ -5,8 +5,9 @@ rotation between them removed. Driving s metres then shifts the picture along Z:
 
     now(X, Z - s) = before(X, Z)        pixel of (X, Z): pi(R C [X, h, Z])
 
-C is the rotation of a level frame that looks along the direction of travel to the camera's, R that from frame to frame
-(`ImageMotion`): a car drives parallel to the road, so the horizon has the row of the epipole. `RoadHorizon` filters it.
+C is the rotation of a level frame that looks along the direction of travel to the camera's frame, R the rotation from
+frame to frame (`ImageMotion`): a car drives parallel to the road, so the horizon has the row of the epipole.
+`RoadHorizon` filters it.
 
 The picture is divided into strips. The shift is the maximum of their mean normalised correlation; strips under boxes of
 road users or without texture do not count. The speed is unknown if the maximum is low or not unique. A horizon in a

@@ -32,7 +32,7 @@ open_recording = KeywordsInErrors(RunSettings)(recording.open_recording)
 
 
 def load_rig(path: str | Path, *, size_px: tuple[int, int] | None = None, is_grey: bool = False) -> StereoRig:
-    """Stereo rig of a calibration file: rig.yaml, or one of cameras, scripts and data sets, recognised by its content.
+    """Stereo rig of a calibration file: rig.yaml, or a format of cameras, scripts and data sets.
 
     Example:
         >>> import track_range as tr

@@ -56,7 +56,7 @@ class RangingOptions(Options):
     sgbm_options: Annotated[
         dict[str, Any],
         option(
-            "Parameters of dense stereo that override those for the rig: fields of SgbmSettings.", is_file_only=True
+            "Parameters of dense stereo that override the rig's parameters: fields of SgbmSettings.", is_file_only=True
         ),
     ] = Field(default_factory=dict)
     warning_options: Annotated[

@@ -11,9 +11,9 @@
 Frames count from 0. Boxes have the corner convention: the left edge of the image is 0, so coordinates are 0.5 px larger
 than with pixel centres at integers. `outside="1"` ends the visible part of a track, which has no box in that frame.
 Between two boxes of a track, all four edges are interpolated linearly, as in CVAT. The attributes distance_m, sigma_m,
-score and predicted are optional; CVAT keeps those that the labels of its task declare. It repeats the attributes of a
-keyframe until the next one; distances are interpolated between keyframes instead. Tracks with the label dontcare are
-regions that are not evaluated.
+score and predicted are optional; CVAT keeps attributes that the labels of its task declare. It repeats the attributes
+of a keyframe until the next one; distances are interpolated between keyframes instead. Tracks with the label dontcare
+are regions that are not evaluated.
 
 Written files list every box, and mark as keyframes the boxes from which all others can be interpolated to 1 px or 2 %
 of the box, and to 2 % of the distance, so that a person has fewer boxes to correct. (CVAT's documentation, "XML

@@ -96,7 +96,7 @@ class SyncMonitor:
     _is_urgent: bool = False  # whether there is a reason to check the next frame
 
     def paired(self, frames: Iterable[Frame]) -> Iterator[Frame]:
-        """The frames with the right images of their moments; None where it is unknown or missing."""
+        """The frames with simultaneous right images; None where the right image is unknown or missing."""
         for frame in frames:
             yield from self.add(frame)
         while self._n_waiting:

@@ -32,7 +32,7 @@ NamesField = Annotated[
 AnchorsField = Annotated[
     str | None,
     option(
-        "Anchors of a network with raw YOLO heads, one group per output (default: those in the model file, else "
+        "Anchors of a network with raw YOLO heads, one group per output (default: as in the model file, else "
         "YOLOv4-tiny's).",
         metavar="'W,H ... / W,H ...'",
     ),

@@ -74,7 +74,7 @@ def first_contact(scene: Scene, seconds: float) -> EgoContact | None:
 
 
 def _unbraked_contact(scene: Scene, start_s: float, seconds: float) -> EgoContact | None:
-    """The first contact if the ego vehicle keeps its speed from `start_s` on, without those with followed vehicles."""
+    """The first contact if the ego vehicle keeps its speed from `start_s` on, except with followed vehicles."""
     z_m, speed_mps = scene.ego_z_m(start_s), _along_z_mps(scene, start_s)
     end_s = min(start_s + UNBRAKED_S, seconds)
     from_to_s = (start_s, end_s)

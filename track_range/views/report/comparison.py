@@ -2,7 +2,7 @@
 
 Events of two runs match if they are of the same kind, if their times overlap within `TIME_TOLERANCE_S`, and if the
 boxes of their tracks overlap in the frames that both tracks have (median IoU), or if their distances are similar where
-there are none. The pairs with the nearest peaks are matched first.
+no boxes are known. The pairs with the nearest peaks are matched first.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Road users of two runs on one video, matched by the boxes of each frame; those that disagree most come first.
+"""Road users of two runs on one video, matched by the boxes of each frame; the largest disagreements come first.
 
 The disagreement of two distances, fused as in the overlay, else filtered, is their difference in joint standard
 deviations, sqrt(sigma_1^2 + sigma_2^2).

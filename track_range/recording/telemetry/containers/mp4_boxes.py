@@ -154,7 +154,7 @@ def _walk(header_at: Callable[[int], bytes], start: int, end: int) -> Iterator[B
 
 
 def _first(content: bytes, *path: bytes) -> bytes:
-    """Content of the first box at a path of types; b"" = there is none."""
+    """Content of the first box at a path of types; b"" if there is no such box."""
     for step in path:
         content = next((part for box_type, part in boxes(content) if box_type == step), b"")
     return content
