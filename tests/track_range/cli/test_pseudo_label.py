@@ -151,7 +151,7 @@ def test_resume_with_fewer_images(drawn, tmp_path, cli):
     for name in ("train-000", "removed"):  # the run was stopped while it wrote labels
         (out / f"{name}.txt").write_text("0 0.5 0.5 0.25 0.2 0.75\n")
     status, _, complaint = pseudo_label(cli, drawn, out, "--model", model, "--resume")
-    assert (status, "found 1 labels of other images, such as removed.txt" in complaint) == (1, True)
+    assert (status, "found 1 label of other images, such as removed.txt" in complaint) == (1, True)
     assert len(complaint) <= MAX_MESSAGE
     (out / "removed.txt").unlink()
     assert pseudo_label(cli, drawn, out, "--model", model, "--resume")[0] == 0
