@@ -309,7 +309,7 @@ class _Reader:
         if self.document.pseudo_scores != "probabilities":
             if pseudo_names is not None:
                 raise LabelFileError(
-                    f"{self._path}: pseudo_names: expected also `pseudo_scores: probabilities`, found none."
+                    f"{self._path}: pseudo_names: requires `pseudo_scores: probabilities`, found none."
                 )
             return None
         names = self.names if pseudo_names is None else pseudo_names

@@ -66,7 +66,9 @@ def _check(settings: CalibrationSettings) -> None:
     if settings.lens not in LENS_NAMES:
         raise UsageError(f"--lens {settings.lens}: expected one of {', '.join(LENS_NAMES)}.")
     if settings.lens != "pinhole" and settings.lens_terms != fields["lens_terms"].default:
-        raise UsageError("--lens-terms: expected --lens pinhole, since a fisheye always has four terms; omit it.")
+        raise UsageError(
+            "--lens-terms: expected --lens pinhole, since a fisheye always has four terms; omit --lens-terms."
+        )
 
 
 def _calibrate_on_road(settings: CalibrationSettings) -> None:

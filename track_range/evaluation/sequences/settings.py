@@ -65,7 +65,7 @@ class TrackSettings(Options):
         Path | None,
         option(
             "Images of the frames, for appearance and camera-motion compensation: a video, a folder of images, or a "
-            "folder with one of them for each sequence.",
+            "folder with a video or image folder for each sequence.",
             metavar="VIDEO|DIR",
         ),
     ] = None

@@ -1,4 +1,4 @@
-"""usable: telemetry without samples that cannot be right; reasons for which a whole track is not used."""
+"""usable: telemetry without implausible samples, or the reason for which a track is not used at all."""
 
 from __future__ import annotations
 

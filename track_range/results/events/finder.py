@@ -2,8 +2,8 @@
 
 An event of a kind lasts while its condition (`Conditions`) holds for a track, with interruptions of up to
 `EventSettings.max_gap_s`. A new track that continues an event at the same place, after the tracker lost the first one,
-belongs to the same event. One alarm is one event: of a person `pedestrian_on_path`, of a vehicle that has just cut in
-`cut_in`, else `forward_collision`; a hard approach during an alarm is part of it.
+belongs to the same event. One alarm is one event: `pedestrian_on_path` for a person, `cut_in` for a vehicle that has
+just cut in, else `forward_collision`; a hard approach during an alarm is part of it.
 """
 
 from __future__ import annotations
