@@ -1,6 +1,7 @@
 """Sessions of onnxruntime on any of its execution providers, including separate packages."""
 
 import io
+import re
 from contextlib import redirect_stdout, suppress
 from functools import cache
 from importlib import import_module
@@ -18,6 +19,7 @@ from track_range.foundation.processes import n_limited_cores
 # Without kernels for INT8; TensorRT has FP16. The packaged detector takes 3.2 ms with CUDA instead of 11.1 (H200).
 _IN_FLOAT = ("cuda", "tensorrt", "coreml")
 _KINDS = ("GPU", "CPU", "NPU")  # of hardware, for a provider that supports several; the preferred one first
+_SOURCE = re.compile(r"^/\S+:\d+ .*[)\]] (?=[A-Z])")  # place in onnxruntime's source and the function's signature
 _MAX_REASON = 160  # characters of a library's message
 
 
@@ -69,7 +71,7 @@ def why_missing(device: str) -> str:
 def first_line(error: Exception, path: Path) -> str:
     """First line of a library's message, with the name of the network's file in place of its path."""
     lines = str(error).replace(str(path), path.name).splitlines() or [type(error).__name__]
-    return shortened(lines[0], _MAX_REASON)
+    return shortened(_SOURCE.sub("", lines[0]), _MAX_REASON)
 
 
 def _session(path: Path, devices: list[str], n_threads: int) -> Any:

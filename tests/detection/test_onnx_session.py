@@ -112,7 +112,8 @@ class CpuSession(ort.InferenceSession):
     def __init__(self, path, options, providers=None, **given):
         self.requested.append((options, providers))
         if providers and providers[0][0] in self.failing:
-            raise RuntimeError("CUDA failure 100: no CUDA-capable device is detected\nmore")
+            place = "/onnxruntime_src/core/cuda_call.cc:123 void onnxruntime::Call(int, const T&) [with T = char] "
+            raise RuntimeError(f"{place}CUDA failure 100: no CUDA-capable device is detected\nmore")
         super().__init__(path, options, providers=["CPUExecutionProvider"], **given)
 
 
