@@ -21,7 +21,7 @@ def test_inputs_are_not_replaced(inputs, tmp_path):
     arguments = [argument for flag in flags for argument in (flag, path)]
     done = run_command("evaluate", command, *arguments, "--json", path)
     assert done.status == 1
-    assert "that of --" in done.stderr
+    assert "the file of --" in done.stderr
     assert path.read_text().startswith("0 0 Car")
 
 
@@ -51,7 +51,7 @@ def test_images_are_not_replaced_by_a_chart(tmp_path):
     (tmp_path / "0.png").write_bytes(b"image")
     inputs = ("--model", "missing.onnx", "--images", tmp_path, "--labels", tmp_path)
     done = run_command("evaluate", "detections", *inputs, "--figure", tmp_path / "0.png")
-    assert (done.status, "that of --images" in done.stderr) == (1, True)
+    assert (done.status, "the file of --images" in done.stderr) == (1, True)
 
 
 def test_models_are_not_replaced(tmp_path):
@@ -59,7 +59,7 @@ def test_models_are_not_replaced(tmp_path):
     model.write_bytes(b"model")
     inputs = ("--model", "yolov5n", "--model", model, "--images", tmp_path, "--labels", tmp_path)
     done = run_command("evaluate", "detections", *inputs, "--json", model)
-    assert (done.status, "that of --model;" in done.stderr) == (1, True)
+    assert (done.status, "the file of --model;" in done.stderr) == (1, True)
     assert model.read_bytes() == b"model"
 
 
@@ -69,7 +69,7 @@ def test_attributes_of_models_are_not_replaced(tmp_path):
     sidecar.write_text("size: 640")
     inputs = ("--model", tmp_path / "my.onnx", "--images", tmp_path / "images", "--labels", tmp_path / "labels")
     done = run_command("evaluate", "detections", *inputs, "--json", sidecar)
-    assert (done.status, "that of --model;" in done.stderr) == (1, True)
+    assert (done.status, "the file of --model;" in done.stderr) == (1, True)
     assert sidecar.read_text() == "size: 640"
 
 
