@@ -170,7 +170,7 @@ class DeepSortTracker:
         """
         settings, model = self._settings.appearance, self._appearance_model
         is_given, visible, max_cosine_distance = detections.descriptor.shape[1] > 0, None, 0.0
-        if settings.max_cosine_distance != 0 and is_high.any() and (is_given or not (image is None or model is None)):
+        if settings.max_cosine_distance != 0 and (is_given or not (image is None or model is None)) and is_high.any():
             occlusion = history.occluded_fraction(detections.xyxy_px, detections.xyxy_px)
             is_visible = is_high & (occlusion <= settings.max_occlusion)
             if is_given:
