@@ -208,11 +208,16 @@ class DeepSortTracker:
 
         These would have an IoU of at most 1/2 with themselves in this frame, without any error.
         """
-        boxes_px = self._last_xyxy_px
-        _, rows, boxes = np.intersect1d(self._table.track_id, self._last_ids, return_indices=True)
-        before, now = motion.cxcywh(boxes_px[boxes]), motion.cxcywh(self._table.filters.xyxy_px[rows])
+        boxes_px, ids = self._last_xyxy_px, self._table.track_id
+        if not len(ids):
+            return boxes_px
+        row = np.minimum(ids.searchsorted(self._last_ids), len(ids) - 1)
+        boxes = (ids[row] == self._last_ids).nonzero()[0]
+        predicted_px = self._table.filters.xyxy_px.take(row[boxes], axis=0)
+        before, now = motion.cxcywh(boxes_px.take(boxes, axis=0)), motion.cxcywh(predicted_px)
         is_far = (np.abs(now - before)[:, :2] > 0.35 * before[:, 2:]).any(axis=1)
-        boxes_px[boxes[is_far]] = self._table.filters.xyxy_px[rows[is_far]]
+        if is_far.any():
+            boxes_px[boxes[is_far]] = predicted_px[is_far]
         return boxes_px
 
     def _is_streak(self, time_s: float) -> BoolArray:

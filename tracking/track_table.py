@@ -83,7 +83,10 @@ class TrackTable:
 
     def _elect(self) -> None:
         """Change the class of tracks for which another one leads by more votes than random classes would."""
-        best, row = self.class_votes.argmax(axis=1), np.arange(len(self))
+        best = self.class_votes.argmax(axis=1)
+        if (best == self.class_id).all():
+            return
+        row = np.arange(len(self))
         votes, own_votes = self.class_votes[row, best], self.class_votes[row, self.class_id]
         self.class_id = np.where(votes - own_votes > _MIN_LEAD * np.sqrt(votes + own_votes), best, self.class_id)
 
