@@ -35,6 +35,12 @@ def refuse_expanded(option: str, names: Sequence[str], most: int) -> None:
     """Raise UsageError if there are more than `most` names, and all name recorded files."""
     if len(names) <= most or not all(map(_is_recorded, names)):
         return
+    if most == 1 and len(names) == 2:
+        first, second = map(shlex.quote, names)
+        raise UsageError(
+            f"{option}: expected one recording, found 2: give {option} {first} {option} {second} for the parts of one "
+            f"recording, --stereo {first} {second} for two cameras, or quote the pattern that the shell has expanded."
+        )
     paths = [*map(Path, names)]
     patterns = {path.with_name(f"{re.split(r'[0-9]', path.stem)[0]}*{path.suffix}") for path in paths}
     if len(patterns) > 2:  # the names have no common beginning

@@ -32,14 +32,17 @@ class TrackedObject:
         class_name: one of `ROAD_CLASSES`.
         xyxy_px: left, top, right, bottom edge of its box.
         distance_m: fused distance, `ranges["fused"]` and `fused_m` in tracks.csv; NaN = not measured, as where the box
-            is predicted. The filtered one is `ranges["fused_kf"]`.
+            is predicted, or touches the border of the image.
         sigma_m: its standard deviation.
         closing_mps: closing speed, from the filtered distance, positive = approaching; NaN = unknown.
         ttc_s: time to collision, distance / closing speed; NaN = not approaching.
-        speed_mps: speed over ground; NaN = unknown.
-        state: "parked", "moving", "oncoming", "crossing", or "" = unknown.
         position_m: ranged point in the left camera's frame (x right, y down, z forward); z is `distance_m`.
         is_observed: False where the box is predicted, without a detection in this frame.
+        speed_mps: speed over ground; NaN = unknown.
+        state: "parked", "moving", "oncoming", "crossing", or "" = unknown.
+        filtered_m: distance filtered over time, `ranges["fused_kf"]` and `fused_kf_m`, in frames without a measurement
+            too; NaN = not measured yet.
+        filtered_sigma_m: its standard deviation.
     """
 
     id: int
@@ -53,6 +56,8 @@ class TrackedObject:
     is_observed: bool
     speed_mps: float = math.nan
     state: str = ""
+    filtered_m: float = math.nan
+    filtered_sigma_m: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +124,8 @@ class FrameResult:
     def objects(self) -> tuple[TrackedObject, ...]:
         """The road users one by one, in the order of the tracks; made at each access, from the arrays."""
         tracks = self.tracks
-        fused = self.ranges["fused"] if "fused" in self.ranges else Ranges.unmeasured(tracks.track_id)
+        unmeasured = Ranges.unmeasured(tracks.track_id)
+        fused, filtered = (self.ranges.get(name, unmeasured) for name in ("fused", "fused_kf"))
         motion = self.motion or ObjectMotion.unknown(len(tracks))
         names = np.array([*MOTION_STATES, ""])[np.nan_to_num(motion.state, nan=-1.0).astype(np.int64)]
         numbers = (fused.distance_m, fused.sigma_m, self.closing_mps, self.ttc_s)
@@ -131,6 +137,7 @@ class FrameResult:
             ),
             *(values.tolist() for values in numbers),
             *(map(tuple, self.xyz_m.tolist()), tracks.observed.tolist(), motion.speed_mps.tolist(), names.tolist()),
+            *(filtered.distance_m.tolist(), filtered.sigma_m.tolist()),
         )
         return tuple(map(TrackedObject, *columns))
 

@@ -55,7 +55,13 @@ from track_range.run.pictures import missing_outputs
 from track_range.run.progress import step_progress
 from track_range.run.ready_model import ready_model
 from track_range.run.settings import RunSettings
-from track_range.run.settings_files import absolute_settings, input_files, unused_options, without_folders
+from track_range.run.settings_files import (
+    absolute_settings,
+    assumed_rate,
+    input_files,
+    unused_options,
+    without_folders,
+)
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.tracking.evaluation.frame_shift import frame_shift_note
 from track_range.tracking.registry import ObjectTracker
@@ -242,6 +248,7 @@ class RunSession:
             *conflicts(),
             *(self.truth.notes if self.truth is not None else ()),
             *self.recording.notes,
+            *assumed_rate(settings, self.recording),
             *self.speed.notes,
             *([_NO_POSITIONS] if settings.keep_gps and self.speed.track is None else []),
             *missing_outputs(settings, self.recording),

@@ -21,6 +21,7 @@ from track_range.foundation.schema_version import SCHEMA_VERSION
 from track_range.foundation.validation import first_problem
 from track_range.recording.live.address import LiveAddress, live_address
 from track_range.recording.names import VideoName, files_of
+from track_range.recording.recording import Recording
 from track_range.results.provenance import settings_hash
 from track_range.run.options.detection import DetectionOptions
 from track_range.run.options.input import plain_name
@@ -158,6 +159,16 @@ def input_files(settings: RunSettings) -> list[Path]:
     named = (getattr(settings, name) for name in RunSettings.model_fields if name in _INPUT_FILES)
     videos = (file for video in settings.videos for file in files_of(video))
     return [*videos, *(Path(name) for name in named if name is not None)]
+
+
+def assumed_rate(settings: RunSettings, recording: Recording) -> tuple[str, ...]:
+    """A note on images without times of which the user gave no frame rate."""
+    if "folder_fps" in settings.model_fields_set or all(
+        getattr(video, "has_times", True) for video in recording.videos
+    ):
+        return ()
+    rate = f"their times are those of {settings.folder_fps:g} frames per second"
+    return (f"The images have no times: {rate}, on which all speeds depend. Give the rate with --folder-fps.",)
 
 
 def unused_options(settings: RunSettings) -> tuple[str, ...]:

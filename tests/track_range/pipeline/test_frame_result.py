@@ -18,10 +18,11 @@ def result(*, ranges=None, right=RIGHT):
     """Three tracks: a car at 20 m, a person at 8 m, and a predicted truck."""
     ids, boxes = np.array([4, 7, 9]), np.arange(12.0).reshape(3, 4)
     fused = Ranges(ids, np.array([20.0, 8.0, NAN]), np.array([0.5, 0.2, NAN]))
+    filtered = Ranges(ids, np.array([19.5, 8.1, 30.0]), np.array([0.4, 0.2, 3.0]))
     return FrameResult(
         frame=Frame(12, 0.4, LEFT, right),
         tracks=Tracks(ids, boxes, np.array([2, 0, 5]), np.full(3, 0.9), np.array([True, True, False])),
-        ranges={"fused": fused} if ranges is None else ranges,
+        ranges={"fused": fused, "fused_kf": filtered} if ranges is None else ranges,
         closing_mps=np.array([5.0, NAN, 1.0]),
         closing_sigma_mps=np.full(3, 0.1),
         ttc_s=np.array([4.0, NAN, NAN]),
@@ -35,6 +36,8 @@ def test_objects_have_the_values_of_their_rows():
     car, person, truck = frame.objects
     assert (car.id, car.class_name, car.xyxy_px, car.is_observed) == (4, "car", (0.0, 1.0, 2.0, 3.0), True)
     assert (car.distance_m, car.sigma_m, car.closing_mps, car.ttc_s) == (20.0, 0.5, 5.0, 4.0)
+    assert (car.filtered_m, car.filtered_sigma_m) == (19.5, 0.4)
+    assert math.isnan(result(ranges={}).objects[0].filtered_m)
     assert car.position_m == (1.0, 0.5, car.distance_m)
     assert (person.class_name, truck.class_name) == ("person", "truck")
     assert math.isnan(truck.distance_m)

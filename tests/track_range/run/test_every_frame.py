@@ -75,8 +75,11 @@ def test_realtime_states_latency_and_drops(
     assert summary["frames"] + summary["frames_dropped"] == N_FRAMES
     assert 0 < summary["latency_ms"]["p50"] <= summary["latency_ms"]["p95"] <= summary["latency_ms"]["max"]
     assert "Latency" in printed
+    assert not any("have no times" in note for note in summary["notes"])
     assert cli(*options, "--out", tmp_path / "plain")[0] == 0
-    assert not {"latency_ms", "frames_dropped"} & json.loads((tmp_path / "plain/summary.json").read_text()).keys()
+    plain = json.loads((tmp_path / "plain/summary.json").read_text())
+    assert not {"latency_ms", "frames_dropped"} & plain.keys()
+    assert ["10 frames per second" in note for note in plain["notes"] if "have no times" in note] == [True]
 
 
 def test_latency_of_a_pipeline(folders: tuple[Path, Path, Path]) -> None:

@@ -47,6 +47,7 @@ class ImageFolder(RecordedVideo):
         self._images, times_s, self._folder_notes, self._clock, self._is_local = named_images(path)
         self._states = [_state(image) for _, image in self._images]
         self.n_total = len(self._images)
+        self.has_times = times_s is not None
         self._has_stamps = times_s is not None and is_epoch(float(times_s[0]))
         steps_s = np.diff([] if times_s is None else times_s)
         steps_s = steps_s[steps_s > TIME_EPSILON_S]
