@@ -28,7 +28,7 @@ def against(cli: Any, drive: Drive, tmp_path: Path) -> Any:
 
     def run(truth: Path) -> tuple[int, Any, str, str]:
         sides = ("--stereo", drive.left, drive.right, "--rig", drive.rig, "--detections", drive.detections)
-        quick = ("--no-sgbm", "--no-overlay", "--lanes", "off", "--align", "off")
+        quick = ("--no-sgbm", "--no-overlay", "--lanes", "off", "--align", "off", "--verbose")
         out = tmp_path / "out"
         status, printed, complaint = cli(*sides, *quick, "--truth", truth, "--out", out)
         summary = json.loads((out / "summary.json").read_text()) if status == 0 else None
