@@ -45,7 +45,7 @@ class RecordedVideo(ABC):
     pixel_aspect: float | None = None  # width / height of the pixels as the file states it; None = not stated
     is_grey: bool  # whether the first frame has no colour
     fps: float  # nominal frame rate
-    has_times = True  # whether frames have times of their own, else those of a rate that the caller gives
+    has_times = True  # whether frames have recorded times; else their times follow from a rate
     first_time_s: float  # time of the file's first frame, independent of the selected part
     n_total: int | None  # estimated number of frames of the whole recording; None = unknown
     # tags in the header of a single video file, and of its video stream; empty for other recordings

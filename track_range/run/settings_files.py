@@ -167,7 +167,7 @@ def assumed_rate(settings: RunSettings, recording: Recording) -> tuple[str, ...]
         getattr(video, "has_times", True) for video in recording.videos
     ):
         return ()
-    rate = f"their times are those of {settings.folder_fps:g} frames per second"
+    rate = f"their times follow from {settings.folder_fps:g} frames per second"
     return (f"The images have no times: {rate}, on which all speeds depend. Give the rate with --folder-fps.",)
 
 

@@ -137,7 +137,8 @@ def run_columns(
             "sgbm": False,
             "folder_fps": FPS,
         }
-        out = run_and_print(RunSettings(stereo=pair, region="europe", **given, **settings), Console(quiet=True))
+        chosen = RunSettings(stereo=pair, region="europe", **given, **settings)
+        out = run_and_print(chosen, Console(quiet=True), print_results=lambda _, __: None)
         truth = read_truth(drive.table, shown or kitti_like_rig().left, np.zeros(3))
         columns = read_tracks_csv(out / "tracks.csv")
         matched = matched_truth(columns, truth)
