@@ -6,7 +6,7 @@ A table wider than the terminal is split into parts below each other, so that no
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 from rich import box
 from rich.cells import cell_len
@@ -52,7 +52,7 @@ def print_grid(console: Console, *shown: Grid) -> None:
         if grid.title and grid.columns:
             # a separate line, because Rich wraps the title of a table at the width of the table
             console.print(Text(grid.title, "italic"))
-        for part in _fitting(grid, console.width):
+        for part in [grid] if grid.has_sentences else _fitting(grid, console.width):
             console.print(_table(part))
             console.print()
 
@@ -88,9 +88,9 @@ def _heading(text: str) -> str:
 def _table(grid: Grid) -> Table:
     table = Table(box=box.SIMPLE_HEAD, padding=0, show_edge=False)
     for i, heading in enumerate(grid.columns):
-        table.add_column(
-            Text(_heading(heading)), justify="left" if i == 0 else "right", no_wrap=i == 0, overflow="fold"
-        )
+        justify: Literal["left", "right"] = "left" if i == 0 or grid.has_sentences else "right"
+        is_name = i == 0 and not grid.has_sentences
+        table.add_column(Text(_heading(heading)), justify=justify, no_wrap=is_name, overflow="fold")
     for row in grid.rows:
         table.add_row(*(Text(cell.text, "bold green" if cell.best else "") for cell in row))
     return table

@@ -95,8 +95,9 @@ class _FleetRun:
                 f"stopped by the user; {state.skipped + state.done} of {state.total} clips are complete; repeat the "
                 "command to continue."
             ) from None
-        except UserError as error:
-            self._finish("failed", str(error))
+        except Exception as error:
+            kind = "" if isinstance(error, UserError) else f"unexpected error, {type(error).__name__}: "
+            self._finish("failed", f"{kind}{error}")
             raise
         self._write_state("finished")
         failed = self._table.failed({clip.name for clip in self._clips})

@@ -19,6 +19,7 @@ from track_range.fleet.output.data_set import ClipTable
 from track_range.fleet.output.record import ClipRecord
 from track_range.fleet.report.fleet_figures import fleet_figures
 from track_range.fleet.storage.location import Location
+from track_range.results.events.event import EVENT_KINDS
 
 PAGE = PAGES["docs/how-to/fleet.md"]
 EXAMPLES = PROJECT / "docs/examples"
@@ -38,6 +39,9 @@ def results(tmp_path, monkeypatch):
     return fleet_figures(out).figures
 
 
+TRACK = track_rows(7, "car", near_m=8.0, x_m=0.0, utc_s=None)
+
+
 def run_block(word):
     """Variables of the Python block of the page with a word."""
     (code,) = (code for code in python_blocks(PAGE) if word in code)
@@ -51,16 +55,23 @@ def test_duckdb_queries(results):
     names = run_block("closest = duckdb")
     rows = names["closest"].fetchall()
     ranked = [(row["clip"], row["track_id"], row["distance_m"]) for row in results["closest"]]
-    assert {vehicle for vehicle, *_ in rows} == {"van"}
-    assert sorted(row[1:] for row in rows if row[1:] in ranked) == sorted(ranked)
+    assert sorted(row for row in rows if row in ranked) == sorted(ranked)
     assert names["failures"].fetchall() == [("input", 1)]
 
 
-def test_query_of_events(results):
+def test_queries_of_events(results, tmp_path):
     pytest.importorskip("duckdb")
-    ((vehicle, per_hour, clip, probability),) = run_block("warnings = duckdb")["warnings"].fetchall()
-    assert (vehicle, clip, probability) == ("van", "0002", 0.75)
-    assert per_hour == pytest.approx(2 / results["video_h"])
+    out = Location.of("results")
+    write_clip(out, done_record("quiet", labels={"vehicle": "bus"}), rows_table(TRACK), tmp_path, [])
+    ClipTable(out).compile()
+    van, bus = run_block("warnings = duckdb")["warnings"].fetchall()
+    assert (van[0], *van[2:]) == ("van", "0002", 0.75)
+    assert van[1] == pytest.approx(2 / results["video_h"])
+    assert bus == ("bus", 0.0, None, None)
+    kinds = run_block("events = duckdb")["events"].fetchall()
+    assert [row[:2] for row in kinds[:2]] == [("forward_collision", 2), ("near_miss", 2)]
+    assert {kind: n for kind, n, _ in kinds}.keys() == set(EVENT_KINDS)
+    assert sum(rate for *_, rate in kinds) == pytest.approx(4 / (results["video_h"] + 1 / 3))
 
 
 def test_page_of_queries(results, capsys):

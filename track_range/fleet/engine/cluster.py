@@ -129,17 +129,26 @@ def _no_cluster(address: str, reason: object) -> FleetError:
 
 
 def _init(**options: Any) -> None:
-    """Start or join a cluster; raises FleetError if it cannot be started or reached."""
+    """Start a cluster, at the second try if needed, or join one; raises FleetError if this is not possible."""
     import ray
 
     logging.getLogger("ray").setLevel(logging.CRITICAL)
     try:
-        ray.init(log_to_driver=False, configure_logging=False, **options)
-    except (ConnectionError, RuntimeError, ValueError, TimeoutError, OSError, ray.exceptions.RayError) as error:
+        try:
+            ray.init(log_to_driver=False, configure_logging=False, **options)
+        except Exception:  # also the plain one of Ray's time limit of 30 s for a start, on a busy machine
+            if options["address"] != "local":
+                raise
+            ray.shutdown()
+            ray.init(log_to_driver=False, configure_logging=False, **options)
+    except Exception as error:
         reason = shortened(" ".join(str(error).split()).rstrip("."), 120)
-        if options["address"] == "local":
-            raise FleetError(f"Ray cannot be started on this machine ({reason}).") from error
-        raise _no_cluster(options["address"], reason) from error
+        if options["address"] != "local":
+            raise _no_cluster(options["address"], reason) from error
+        raise FleetError(
+            f"expected Ray to start on this machine, found two starts that failed ({reason}); repeat the command when "
+            "the machine is less busy, or process each clip with `track-range run`, without Ray."
+        ) from error
 
 
 def _fitting(settings: FleetSettings, n_requested: int) -> int:

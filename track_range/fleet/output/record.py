@@ -100,8 +100,9 @@ def _arrow_type(name: str, rows: Sequence[Mapping[str, Any]]) -> pa.DataType:
         return pa.list_(pa.string())
     if annotation:
         return pa.int64() if "int" in annotation else pa.float64() if "float" in annotation else pa.string()
-    values = [row[name] for row in rows if row.get(name) is not None]
-    return pa.float64() if values and all(isinstance(value, int | float) for value in values) else pa.string()
+    is_text = any(isinstance(row.get(name), str) for row in rows)  # a label with the name of a figure
+    is_figure = name.startswith("alignment_") or name.endswith(("_ms", "_coverage", *ERROR_FIGURES))
+    return pa.float64() if is_figure and not is_text else pa.string()
 
 
 def merged_table(base: pa.Table, rows: Mapping[str, Mapping[str, Any]]) -> pa.Table:
@@ -114,11 +115,12 @@ def merged_table(base: pa.Table, rows: Mapping[str, Mapping[str, Any]]) -> pa.Ta
     if pc.any(is_replaced).as_py():
         base = base.filter(pc.invert(is_replaced))
     for name in set(base.column_names) & set(added.column_names):
-        if base.schema.field(name).type != added.schema.field(name).type:
-            base, added = (
-                table.set_column(table.column_names.index(name), name, table[name].cast(pa.string()))
-                for table in (base, added)
-            )
+        kind = added.schema.field(name).type
+        if base.schema.field(name).type != kind:
+            try:  # figures of earlier versions may be text
+                base = base.set_column(base.column_names.index(name), name, base[name].cast(kind))
+            except pa.ArrowInvalid:
+                added = added.set_column(added.column_names.index(name), name, added[name].cast(pa.string()))
     table = pa.concat_tables([base, added], promote_options="default")
     others = sorted(set(table.column_names) - set(_FIXED))
     return table.select([*_FIXED, *others]).replace_schema_metadata(added.schema.metadata)

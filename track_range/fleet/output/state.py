@@ -76,8 +76,17 @@ class FleetState:
             parts.append(f"{self.failed} failed")
         if (per_hour := self.clips_per_hour) is not None:
             n_left = self.total - self.skipped - self.done - self.failed
-            parts += [f"{per_hour:.0f} clips/h", f"{duration_text(3600 * n_left / per_hour)} left"]
+            left = [f"{duration_text(3600 * n_left / per_hour)} left"] if n_left else []
+            parts += [f"{per_hour:.0f} clips/h", *left]
         return ", ".join(parts)
+
+    def sentence(self) -> str:
+        """Sentence on a run that has ended."""
+        failed = f", {self.failed} failed" if self.failed else ""
+        rate = "" if self.clips_per_hour is None else f" ({self.clips_per_hour:.0f} clips per hour)"
+        text = f"{self.skipped + self.done} of {self.total} clips done{failed}: {self.done} in this run, which took "
+        text += duration_text(self.heartbeat_s - self.started_s) + rate
+        return f"{text}, and {self.skipped} in earlier runs." if self.skipped else f"{text}."
 
 
 def read_state(out: Location) -> FleetState | None:
@@ -127,10 +136,10 @@ def status_lines(out: Location) -> Iterator[str]:
     rows = table.select(["clip", "status", "error", "seconds"]).to_pylist()
     failed = [(row["clip"], row["error"] or "") for row in rows if row["status"] == "failed"]
     n_done = sum(row["status"] == "done" for row in rows)
-    video_h = sum(row["seconds"] or 0.0 for row in rows) / 3600
+    video_s = sum(row["seconds"] or 0.0 for row in rows)
     total = max(state.total if state is not None else 0, n_done + len(failed))
     yield state_text(state)
-    yield f"{n_done} of {counted(total, 'clip')} done, {video_h:.2f} h of video"
+    yield f"{n_done} of {counted(total, 'clip')} done, {duration_text(video_s)} of video"
     if state is not None and state.is_alive:
         if (per_hour := state.clips_per_hour) is not None:
             left_s = 3600 * (total - n_done - len(failed)) / per_hour
@@ -154,7 +163,7 @@ def state_text(state: FleetState | None) -> str:
         return f"running ({driver}), for {duration_text(time.time() - state.started_s)}"
     age = duration_text(time.time() - state.heartbeat_s)
     if state.state == "running":
-        return f"ended unexpectedly ({driver}, {age} ago); repeat the command to continue"
+        return f"stopped unexpectedly {age} ago, before all clips were done ({driver}); repeat the command to continue"
     reason = f": {state.reason}" if state.reason and state.state == "failed" else ""
     return f"{state.state} {age} ago{reason}"
 

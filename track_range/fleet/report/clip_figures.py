@@ -18,12 +18,15 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 ALIGNMENT_FIGURES = ("row_offset_px", "offset_px")  # vertical offset, and constant error of the disparities
+MIN_H = 0.1  # shortest video with rates per hour
 MAX_GROUPS = 100  # largest number of rows of the calibration drift
 _GROUP_COLUMNS = ("vehicle", "label_vehicle", "camera", "rig")  # columns that group it, the first that exists
 _ENDS = 5  # number of clips whose median is the first or last value of a drift
 _MAX_NAMED = 5  # largest number of clips that are named in a row
 _MAX_ROWS = 20  # largest number of reasons, notes, nodes and clips in a table
 _S_PER_H = 3600.0
+# what differs between messages of one kind: quoted names, and numbers, by themselves or as parts of names and versions
+_VARIABLE = re.compile(r"'[^']*'|(?P<number>(?<![\w.,/\\-])[+-]?\d+(?:\.\d+)?(?![\w/\\-]|[.,]\w))|\d+(?:[.,]\d+)*")
 
 
 class ClipColumns:
@@ -182,23 +185,39 @@ def failure_figures(failed: ClipColumns) -> list[Figures]:
         by_reason[kind or "unknown", _pattern(reason)].append((clip, reason))
     groups = sorted(by_reason.items(), key=lambda item: (-len(item[1]), item[0]))
     return [
-        {"kind": kind, "reason": clips[0][1], "n": len(clips), "clips": [name for name, _ in clips[:_MAX_NAMED]]}
+        {"kind": kind, "reason": _merged(reasons), "n": len(reasons), "clips": list(names[:_MAX_NAMED])}
         for (kind, _), clips in groups[:_MAX_ROWS]
+        for names, reasons in [zip(*clips, strict=True)]
     ]
 
 
 def _pattern(text: str) -> str:
     """A text in which numbers and quoted names are replaced."""
-    return re.sub(r"'[^']*'|\d+(?:[.,]\d+)*", "#", text)
+    return _VARIABLE.sub("#", text)
+
+
+def _merged(texts: Sequence[str]) -> str:
+    """The first of the texts of one pattern, with the range of each number that differs: "682 to 933 px"."""
+    columns = zip(*([match["number"] for match in _VARIABLE.finditer(text)] for text in texts), strict=True)
+
+    def merged(match: re.Match[str]) -> str:
+        numbers = next(columns)
+        if match["number"] is None:
+            return match[0]
+        low, high = (pick(numbers, key=float) for pick in (min, max))
+        return match[0] if float(low) == float(high) else f"{low} to {high}"
+
+    return _VARIABLE.sub(merged, texts[0])
 
 
 def note_figures(done: ClipColumns) -> list[Figures]:
-    """Most frequent notes of the runs, with the number of clips and an example."""
-    rows: dict[str, Figures] = {}
+    """Most frequent notes of the runs, with the ranges of their numbers, the number of clips and one of the clips."""
+    groups: dict[str, list[tuple[str, str]]] = defaultdict(list)
     for clip, notes in zip(done.texts("clip"), done.lists("warnings"), strict=True):
         for pattern, note in {_pattern(note): note for note in notes}.items():
-            rows.setdefault(pattern, {"n": 0, "note": note, "clip": clip})["n"] += 1
-    return sorted(rows.values(), key=lambda row: -row["n"])[: _MAX_ROWS // 2]
+            groups[pattern].append((clip, note))
+    shown = sorted(groups.values(), key=lambda group: -len(group))[: _MAX_ROWS // 2]
+    return [{"n": len(group), "note": _merged([note for _, note in group]), "clip": group[0][0]} for group in shown]
 
 
 def stage_figures(done: ClipColumns) -> dict[str, float]:

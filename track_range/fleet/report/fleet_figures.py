@@ -80,9 +80,10 @@ class EventFigures:
         self.worst = _worst([*self.worst, *other.worst])
 
     def by_kind(self, hours: float) -> list[Figures]:
-        """Number of events, and per hour of video, of the kinds that occur."""
+        """Number of events, and per hour of video (None: too short), of the kinds that occur."""
         counts = {kind: self.n_by_kind[kind] for kind in EVENT_KINDS if self.n_by_kind[kind]}
-        return [{"kind": kind, "events": n, "per_hour": n / hours if hours else None} for kind, n in counts.items()]
+        is_long = hours >= clip_figures.MIN_H
+        return [{"kind": kind, "events": n, "per_hour": n / hours if is_long else None} for kind, n in counts.items()]
 
 
 def _worst(events: Iterable[ClipEvent]) -> list[ClipEvent]:
@@ -227,7 +228,7 @@ def _classes(tracks: TrackFigures, hours: float) -> list[Figures]:
         {
             "class": name,
             "tracks": n,
-            "per_hour": n / hours if hours else None,
+            "per_hour": n / hours if hours >= clip_figures.MIN_H else None,
             "mean_visible_s": tracks.visible_s[name] / n,
         }
         for name, n in tracks.n_tracks.most_common()

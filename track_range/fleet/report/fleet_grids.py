@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from track_range.fleet.output.record import ERROR_FIGURES
-from track_range.fleet.report.clip_figures import ALIGNMENT_FIGURES, MAX_GROUPS
+from track_range.fleet.report.clip_figures import ALIGNMENT_FIGURES, MAX_GROUPS, MIN_H
 from track_range.fleet.report.track_figures import Figures
 from track_range.views.report import tables
 
@@ -26,8 +26,6 @@ _CLASS_COLUMNS: tuple[tables.ColumnSpec, ...] = (
 _KIND_COLUMNS: tuple[tables.ColumnSpec, ...] = (("events", "events", "{:.0f}"), _PER_HOUR)
 _DRIFT_COLUMNS = ("clips", "from", "to", "median px", "first px", "last px", "change px")
 _WORK_COLUMNS: tuple[tables.ColumnSpec, ...] = (
-    ("video h", "video_h", "{:.2f}"),
-    ("worker h", "worker_h", "{:.2f}"),
     ("frames/s per worker", "frames_per_worker_s"),
     ("video s per worker s", "video_s_per_worker_s", "{:.2f}"),
     ("overhead s per clip", "median_overhead_s", "{:.2f}"),
@@ -60,7 +58,8 @@ _COLLISION_MEASURES: tuple[_Measure, ...] = (
     *_TRACK_MEASURES,
     ("TTC s", "ttc_s", "{:.1f}"),
     (f"{tables.SIGMA} s", "ttc_sigma_s", "{:.1f}"),
-    *_CLOSEST_MEASURES[2:],
+    *_CLOSEST_MEASURES[2:4],
+    ("path offset m", "path_offset_m", "{:+.1f}"),
 )
 
 
@@ -94,7 +93,8 @@ def fleet_sections(figures: Figures, links: Links | None = None) -> list[Section
     sections = {
         "road-users": (
             "Road users",
-            "Tracks by their most frequent class. The hour of the day is the hour (UTC) of the first frame of a track.",
+            "Tracks by their most frequent class. The hour of the day is the hour (UTC) of the first frame of a track. "
+            "Rates per hour are of at least 6 minutes of video.",
             [_grid("Tracks by class", "class", figures["classes"], _CLASS_COLUMNS), _hour_grid(figures["hours"])],
             "No clip has tracks.",
         ),
@@ -117,16 +117,17 @@ def fleet_sections(figures: Figures, links: Links | None = None) -> list[Section
         "closest": (
             "Closest approaches",
             f"Smallest filtered fused distance of a road user, with its standard deviation {tables.SIGMA} of at most "
-            "half the distance; one row per track.",
+            "half the distance; one row per track. x is of the box centre, positive to the right of the camera.",
             [_ranking("Closest tracks", figures["closest"], _CLOSEST_MEASURES, links)],
             "No road user has a distance.",
         ),
         "collisions": (
             "Shortest times to collision",
-            "Time to collision of the front with road users that are on the path, or will be on the path with a "
-            f"probability of at least one half. {tables.SIGMA} at most half of the time; one row per track.",
-            [_ranking("Tracks on a collision course", figures["collisions"], _COLLISION_MEASURES, links)],
-            "No road user was on a collision course.",
+            "Time to collision of the front with road users that are on the ego path at that moment, by their offset "
+            "from this path, which may bend, or that will be on it with a probability of at least one half. "
+            f"{tables.SIGMA} at most half of the time; one row per track.",
+            [_ranking("Tracks on the ego path", figures["collisions"], _COLLISION_MEASURES, links)],
+            "No road user on the ego path had a time to collision.",
         ),
         "errors": (
             "Errors",
@@ -155,8 +156,8 @@ def fleet_sections(figures: Figures, links: Links | None = None) -> list[Section
         ),
         "notes": (
             "Notes of the runs",
-            "The most frequent reasons, each with one of the clips.",
-            [_text_grid("Notes", figures["notes"], ("clip", "clips", "note"))],
+            "The most frequent notes, with the range of numbers that differ between the clips.",
+            [_text_grid("Notes", figures["notes"], ("example", "clips", "note"))],
             "The runs have no notes.",
         ),
     }
@@ -173,10 +174,11 @@ def _grid(title: str, name: str, rows: Sequence[Figures], columns: Iterable[tabl
 
 
 def _hour_grid(rows: Sequence[Figures]) -> tables.Grid:
+    rows = [row for row in rows if row["video_h"] >= MIN_H]
     names = [tables.NOTHING if row["hour_utc"] is None else f"{row['hour_utc']:02}:00" for row in rows]
     columns = tables.columns_of(rows, [("video h", "video_h", "{:.2f}")])
     for name in rows[0]["tracks"] if rows else ():
-        per_hour = [row["tracks"][name] / row["video_h"] if row["video_h"] > 0 else None for row in rows]
+        per_hour = [row["tracks"][name] / row["video_h"] for row in rows]
         columns.append(tables.Column(name, per_hour, "{:.0f}"))
     return tables.grid_of("Tracks per hour of video, by hour of the day", "hour UTC", names, columns)
 
@@ -236,7 +238,7 @@ def _text_grid(title: str, rows: Sequence[Figures], headings: tuple[str, ...]) -
     """Table of reasons or notes, with the number of clips, and the names of some of a reason."""
     cells = []
     for row in rows:
-        texts = {**row, "clips": str(row["n"])}
+        texts = {**row, "clips": str(row["n"]), "example": row.get("clip", "")}
         if "names" in headings:
             texts["names"] = ", ".join(row["clips"]) + (", ..." if row["n"] > len(row["clips"]) else "")
         cells.append(tuple(tables.Cell(texts[heading]) for heading in headings))
@@ -244,8 +246,9 @@ def _text_grid(title: str, rows: Sequence[Figures], headings: tuple[str, ...]) -
 
 
 def _work_grids(figures: Figures) -> list[tables.Grid]:
-    work = tables.columns_of([figures], [("clips/h", "clips_per_hour", "{:.0f}"), *_WORK_COLUMNS])
-    node_columns = (("clips", "clips", "{:.0f}"), *_WORK_COLUMNS, *_MEMORY_COLUMNS)
+    work_columns = (*(_hours_column(name, figures) for name in ("video", "worker")), *_WORK_COLUMNS)
+    work = tables.columns_of([figures], [("clips/h", "clips_per_hour", "{:.0f}"), *work_columns])
+    node_columns = (("clips", "clips", "{:.0f}"), *work_columns, *_MEMORY_COLUMNS)
     stages_ms = figures["stages_ms"]
     speeds = [tables.Column("ms/frame", [*stages_ms.values()], "{:.2f}")]
     speeds.append(tables.Column("frames/s", [1000 / ms for ms in stages_ms.values()]))
@@ -254,6 +257,11 @@ def _work_grids(figures: Figures) -> list[tables.Grid]:
         _grid("Nodes, with the memory of a worker", "node", figures["nodes"], node_columns),
         tables.grid_of("Run time by stage (stages overlap)", "stage", list(stages_ms), speeds),
     ]
+
+
+def _hours_column(name: str, figures: Figures) -> tables.ColumnSpec:
+    unit, *form = ("s", "{:.1f}", 3600.0) if figures[f"{name}_h"] < MIN_H else ("h", "{:.2f}")
+    return (f"{name} {unit}", f"{name}_h", *form)
 
 
 def _text(value: Any, pattern: str) -> str:

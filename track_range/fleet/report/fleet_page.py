@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from track_range.fleet.output.data_set import RUNS, partition
+from track_range.fleet.output.state import duration_text
 from track_range.fleet.report.fleet_figures import FleetFigures, event_video
 from track_range.fleet.report.fleet_grids import DRIFT_TITLES, Links, fleet_sections, utc_text
 from track_range.fleet.report.track_figures import Figures
@@ -43,7 +44,7 @@ def _cards(figures: Figures) -> list[dict[str, str]]:
     return [
         card("clips done", f"{clips['done']} of {clips['total']}", rest),
         card("clips failed", clips["failed"], ""),
-        card("hours of video", f"{figures['video_h']:.2f}", ""),
+        card("video", duration_text(3600 * figures["video_h"]), ""),
         card("tracks", figures["tracks"], f"{figures['rows']} rows"),
         card("events", sum(row["events"] for row in figures["event_kinds"]), f"{figures['warnings']} with a warning"),
         card("clips per hour", None if rate is None else f"{rate:.0f}", "in the last run"),

@@ -32,7 +32,7 @@ _MAX_RELATIVE_SIGMA = 0.5  # largest standard deviation of a ranked distance or 
 _MAX_NUMBER = 1e12  # limit of track numbers, and of times in s
 
 _NEEDED = ("time_s", "track_id", "class")
-_OTHERS = ("observed", "ttc_front_s", "ttc_sigma_s", "x_m", "utc")
+_OTHERS = ("observed", "ttc_front_s", "ttc_sigma_s", "x_m", "x1_px", "x2_px", "path_offset_m", "utc")
 
 Figures = dict[str, Any]  # figures by name, as in the JSON file; None = unknown
 
@@ -157,6 +157,16 @@ class _Rows:
         with np.errstate(invalid="ignore"):
             return np.where(self._column("ttc_sigma_s") <= _MAX_RELATIVE_SIGMA * ttc_s, ttc_s, np.nan)
 
+    def _lateral_m(self) -> FloatArray:
+        """Column x_m; where only the filter has a distance, x of the box centre at it, with the camera of the rows."""
+        x_m, z_m, u = self._column("x_m"), self._column("fused_m"), self._column("x1_px") + self._column("x2_px")
+        known = np.isfinite([x_m, z_m, u]).all(axis=0)
+        if not known.any() or np.ptp(u[known]) < 1:
+            return x_m
+        rays = np.stack([u, np.ones(len(u))], axis=1)  # x / z is affine in u
+        affine = np.linalg.lstsq((z_m[:, None] * rays)[known], x_m[known])[0]
+        return np.where(np.isfinite(x_m), x_m, self.distance_m * (rays @ affine))
+
     def approaches(self, clip: str, values: FloatArray) -> list[Figures]:
         """The observed row of each road user with the smallest value, as the moment of the track.
 
@@ -176,7 +186,8 @@ class _Rows:
             "utc_s": self._column("utc"),
             "distance_m": self.distance_m,
             "sigma_m": self.sigma_m,
-            "x_m": self._column("x_m"),
+            "x_m": self._lateral_m(),
+            "path_offset_m": self._column("path_offset_m"),
             "ttc_s": self._column("ttc_front_s"),
             "ttc_sigma_s": self._column("ttc_sigma_s"),
         }

@@ -267,7 +267,8 @@ def markdown(summary: Summary) -> str:
 
 def markdown_table(grid: Grid) -> str:
     """A grid as a pipe table under its title."""
-    lines = [[_escaped(heading) for heading in grid.columns], [":--"] + ["--:"] * (len(grid.columns) - 1)]
+    others = ":--" if grid.has_sentences else "--:"
+    lines = [[_escaped(heading) for heading in grid.columns], [":--"] + [others] * (len(grid.columns) - 1)]
     lines += [[f"**{_escaped(cell.text)}**" if cell.best else _escaped(cell.text) for cell in row] for row in grid.rows]
     return f"**{_escaped(grid.title)}**\n\n" + "\n".join("| " + " | ".join(line) + " |" for line in lines)
 

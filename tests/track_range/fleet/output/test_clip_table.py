@@ -159,6 +159,22 @@ def test_label_that_becomes_a_number(out):
     assert merged["x_ms"].to_pylist() == ["text", "2"]
 
 
+def test_types_do_not_depend_on_the_values(out):
+    """Neither without a road user, nor where an earlier version has stored text."""
+    unknown = record("a", coverage={"fused": None}, stages_ms={"read": None}, alignment={"row_offset_px": None})
+    table = records_table([{**unknown, "fused_median_relative_error_pct": None}])
+    figures = ("fused_coverage", "read_ms", "alignment_row_offset_px", "fused_median_relative_error_pct")
+    assert {str(table[name].type) for name in figures} == {"double"}
+    index = table.column_names.index("fused_coverage")
+    text = table.set_column(index, "fused_coverage", pyarrow.array(["0.8947"]))
+    merged = merged_table(text, {"b": record("b", coverage={"fused": 1}), "c": unknown | {"clip": "c"}})
+    assert merged["fused_coverage"].to_pylist() == [0.8947, 1.0, None]
+    vehicles = merged_table(
+        records_table([record("a", labels={"vehicle": "01"})]), {"b": record("b") | {"vehicle": None}}
+    )
+    assert vehicles["vehicle"].to_pylist() == ["01", None]
+
+
 def test_touched_row_has_the_new_fingerprint(out):
     table = ClipTable(out)
     table.add(record("a", inputs="old", content_hash="c"), is_in_journal=False)
@@ -198,7 +214,7 @@ def test_status_of_a_killed_driver(out):
     FleetState(state="running", pid=2**22 + 1, total=5).write(out)
     lines = list(status_lines(out))
     assert "unexpectedly" in lines[0]
-    assert lines[1] == "1 of 5 clips done, 2.00 h of video"
+    assert lines[1] == "1 of 5 clips done, 2 h 0 min of video"
     assert any("a reason" in line for line in lines)
 
 

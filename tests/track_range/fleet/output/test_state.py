@@ -27,5 +27,21 @@ def test_driver_at_work(host, pid, age_s, is_alive):
     assert state.is_alive is is_alive
 
 
+@pytest.mark.parametrize(
+    ("counts", "sentence"),
+    [
+        ({"done": 6}, "6 of 8 clips done: 6 in this run, which took 5 min (72 clips per hour)."),
+        (
+            {"skipped": 7, "failed": 1},
+            "7 of 8 clips done, 1 failed: 0 in this run, which took 5 min, and 7 in earlier runs.",
+        ),
+    ],
+)
+def test_sentence_of_a_run(counts, sentence):
+    state = FleetState(state="finished", total=8, started_s=0.0, heartbeat_s=300.0, **counts)
+    assert state.sentence() == sentence
+    assert ("left" in state.text()) is (counts == {"done": 6})
+
+
 def test_finished_driver():
     assert not FleetState(state="finished").is_alive

@@ -22,10 +22,12 @@ from tests.track_range.fleet.fleet_results import (
     write_clip,
     write_fleet,
 )
+from tests.track_range.results.events.event_builder import event
 from track_range.fleet.errors import FleetError
 from track_range.fleet.output.data_set import ClipTable, tracks_location
-from track_range.fleet.report.clip_figures import MAX_GROUPS, ClipColumns, drift_figures
+from track_range.fleet.report.clip_figures import MAX_GROUPS, ClipColumns, drift_figures, note_figures
 from track_range.fleet.report.fleet_figures import fleet_figures
+from track_range.fleet.report.fleet_grids import fleet_sections
 from track_range.fleet.report.fleet_page import fleet_page
 from track_range.fleet.report.track_figures import N_RANKED, TrackFigures, needed_columns, track_figures
 from track_range.fleet.storage.location import Location
@@ -168,10 +170,58 @@ def test_failures_and_notes(out, scratch):
     table.compile()
     figures = figures_of(out)
     damaged, other = figures["failures"]
-    assert (damaged["kind"], damaged["n"], damaged["reason"]) == ("input", 6, "frame 0 is damaged.")
+    assert (damaged["kind"], damaged["n"], damaged["reason"]) == ("input", 6, "frame 0 to 5 is damaged.")
     assert len(damaged["clips"]) == 5
     assert (other["n"], other["reason"], other["clips"]) == (1, "not a video.", [BROKEN])
-    assert figures["notes"][0]["n"] == 2  # the numbers in the notes differ
+    (note,) = (row for row in figures["notes"] if row["n"] == 2)
+    assert note == {"n": 2, "note": "Focal length 4 to 13 px.", "clip": NOON}  # the lengths of the names of the clips
+
+
+def test_numbers_of_merged_notes():
+    """Numbers in names are those of the first note, numbers that agree stay."""
+    notes = [
+        "a-1.mp4: bias +4.0 % of 'x 9', 75 degrees (2 cars).",
+        "a-2.mp4: bias -3.5 % of 'y', 75 degrees (12 cars).",
+    ]
+    table = pa.table({"clip": ["a", "b"], "warnings": [[note] for note in notes]})
+    (row,) = note_figures(ClipColumns(table))
+    assert row["note"] == "a-1.mp4: bias -3.5 to +4.0 % of 'x 9', 75 degrees (2 to 12 cars)."
+
+
+def test_short_fleets_have_no_rates(tmp_path, scratch):
+    out = Location.of(tmp_path / "out")
+    write_clip(out, record("a", seconds=9.8), _one_row(), scratch, [event()])
+    figures = figures_of(out)
+    assert [row["per_hour"] for row in (*figures["classes"], *figures["event_kinds"])] == [None, None]
+    sections = {section.anchor: section for section in fleet_sections(figures)}
+    (classes,) = sections["road-users"].grids
+    assert classes.columns == ("class", "tracks", "mean s visible")
+    work = sections["throughput"].grids[0]
+    assert dict(zip(work.columns, (cell.text for cell in work.rows[0]), strict=True))["video s"] == "9.8"
+    assert "10 s of video" in run_command("fleet", "report", out.path).stdout
+
+
+def test_notes_are_read_in_one_table(out):
+    """Neither split from the number of clips, nor aligned to the right."""
+    shown = run_command("fleet", "report", out.path).stdout
+    lines = shown[shown.index("\nNotes") :].splitlines()
+    assert lines[2].split() == ["example", "clips", "note"]
+    assert [line.split(maxsplit=2)[1:] for line in lines[4:5]] == [["2", "Focal length 4 to 13 px."]]
+
+
+def test_lateral_position_where_only_the_filter_has_a_distance():
+    """A pinhole camera of 700 px with the centre at 600 px; the sum of the edges of a box is twice its centre."""
+    rows = track_rows(1, "car", near_m=4.0, x_m=3.0, utc_s=None)
+    centre_px = 600 + 700 * rows["x_m"] / rows["fused_m"]
+    rows |= {"x1_px": centre_px - 50, "x2_px": centre_px + 50, "path_offset_m": rows["x_m"] - 2.5}
+    rows["fused_m"] = rows["fused_m"].copy()  # fused_kf_m has them all
+    rows["fused_m"][-4:] = rows["x_m"][-4:] = float("nan")
+    figures = track_figures("a", rows_table(rows))
+    (closest,) = figures.closest
+    assert (closest["distance_m"], closest["x_m"]) == (4.0, pytest.approx(3.0))
+    assert closest["path_offset_m"] == 0.5
+    rows["x1_px"][:] = rows["x2_px"][:] = 600.0  # no ray but one is known
+    assert track_figures("a", rows_table(rows)).closest[0]["x_m"] is None
 
 
 def _one_row():

@@ -44,7 +44,7 @@ def _fleet_status(options: FleetStatusOptions) -> None:
 
 def _fleet_report(options: FleetReportOptions) -> None:
     from track_range.fleet.output.data_set import CLIPS_FILE
-    from track_range.fleet.output.state import STATE_FILE
+    from track_range.fleet.output.state import STATE_FILE, duration_text
     from track_range.fleet.report.fleet_figures import fleet_figures
     from track_range.fleet.report.fleet_grids import fleet_sections
     from track_range.fleet.report.fleet_page import fleet_page
@@ -63,8 +63,8 @@ def _fleet_report(options: FleetReportOptions) -> None:
         fleet = fleet_figures(out, options.by, progress)
     figures = fleet.figures
     grids = [grid for section in fleet_sections(figures) for grid in section.grids]
-    clips, hours = figures["clips"], figures["video_h"]
-    done = f"{clips['done']} of {clips['total']} clips done, {clips['failed']} failed, {hours:.2f} h of video"
+    clips, video = figures["clips"], duration_text(3600 * figures["video_h"])
+    done = f"{clips['done']} of {clips['total']} clips done, {clips['failed']} failed, {video} of video"
     print_line(console, printable(figures["state"]), done)
     print_notes(console, figures["problems"])
     console.print()

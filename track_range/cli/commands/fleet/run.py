@@ -28,7 +28,6 @@ def _fleet_run(**values: Any) -> None:
     from track_range.fleet.errors import ClipsFailedError
     from track_range.fleet.fleet_run import run_fleet
     from track_range.fleet.inputs.listing import clips_of
-    from track_range.fleet.output.state import duration_text
     from track_range.foundation.files.input_files import printable, shortened
 
     settings = FleetSettings.of(given_values(FleetSettings, values))
@@ -45,8 +44,7 @@ def _fleet_run(**values: Any) -> None:
         return
     result = run_fleet(settings, options, clips, console=console)
     counts = result.counts
-    done = f"{counts.text()}; {counts.skipped} were already complete; time {duration_text(result.wall_s)}"
-    print_line(console, done, f"Results in {settings.out}")
+    print_line(console, counts.sentence(), f"Results in {settings.out}")
     if result.failed:
         print_line(console, *(printable(f"failed: {name}: {error}") for name, error in result.failed[:_MAX_NAMED]))
         named = ", ".join(shortened(name, _MAX_NAME) for name, _ in result.failed[:_MAX_NAMED])
