@@ -27,11 +27,13 @@ if TYPE_CHECKING:
     from track_range.api.parts import Detector as Detector, Tracker as Tracker, load_rig as load_rig
     from track_range.detection.classes import ROAD_CLASSES as ROAD_CLASSES, road_class_id as class_id
     from track_range.detection.detections import Detections as Detections
+    from track_range.detection.detector import DetectorError as DetectorError
     from track_range.detection.evaluation import evaluate_detections as evaluate_detections
     from track_range.detection.evaluation.object_sizes import evaluate_by_size as evaluate_detections_by_size
     from track_range.detection.evaluation.score_calibration import evaluate_calibration as evaluate_score_calibration
     from track_range.detection.formats.errors import LabelFileError as LabelFileError
     from track_range.detection.formats.image_labels.image_truth import ImageTruth as ImageTruth
+    from track_range.detection.models.download import DownloadError as DownloadError
     from track_range.detection.models.onnx_session import ModelError as ModelError
     from track_range.foundation.errors import (
         ConfigError as ConfigError,
@@ -125,6 +127,8 @@ _NAMES = {
     "results.writers": "register_writer WriterError",
     "foundation.errors": "UserError ConfigError UsageError",
     "recording.frame": "VideoError",
+    "detection.detector": "DetectorError",
+    "detection.models.download": "DownloadError",
     "detection.models.onnx_session": "ModelError",
     "detection.formats.errors": "LabelFileError",
     "foundation.files.output_files": "OutputError",

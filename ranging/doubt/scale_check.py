@@ -305,7 +305,8 @@ class ScaleCheck:
         if not evidence and self._max_mps <= _MAX_MPS:
             return None
         height = f"{'the given' if self._has_height else 'a usual'} height of the camera"
-        names = ", ".join(dict.fromkeys((*(item.name for item in evidence), height)))
+        *first, last = dict.fromkeys((*(item.name for item in evidence), height))
+        names = f"{', '.join(first)} and {last}" if first else last
         right, fits = self._fitted(evidence, self._priors), []
         for unknown, cause in _CAUSES.items():
             priors = self._priors.copy()

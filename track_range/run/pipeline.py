@@ -64,6 +64,7 @@ Cameras = str | Path | StereoRig | PinholeCamera  # a calibration file, or the m
 
 
 _N_LATENCIES = 1000  # latest frames of which the latency is stated
+_LONG_STEP_S, _N_LONG_STEPS = 5.0, 3  # steps between frames, so many in a row, that are probably no seconds
 _SAME_CLOCK_S = 10.0  # largest difference between a frame's time and a clock of this machine that stamps the images
 
 
@@ -83,7 +84,7 @@ class Pipeline:
         >>> with tr.Pipeline.stereo(recording.rig, sgbm=False, align="off") as pipeline:
         ...     for frame in recording.frames:
         ...         result = pipeline.step(frame.left, frame.right[:, :], frame.time_s)
-        ...         nearest = min((t.distance_m for t in result.objects), default=None)
+        ...         nearest_m = min((t.filtered_m for t in result.objects if t.filtered_m > 0), default=None)
         >>> pipeline.to_arrow().num_rows > 0
         True
         >>> recording.close()
@@ -126,6 +127,7 @@ class Pipeline:
         self._rows = RecentRows(keep_s, EventFinder(options.event_settings))
         self._opened: _Opened | None = None
         self._index, self._first_s, self._last_s = 0, math.nan, -math.inf
+        self._n_long_steps = 0  # in a row, up to the last frame
         self._latencies_s: deque[float] = deque(maxlen=_N_LATENCIES)
 
     @classmethod
@@ -216,7 +218,10 @@ class Pipeline:
     def notes(self) -> tuple[str, ...]:
         """Messages for the user about the detector, the calibration, the pair and the methods so far."""
         boxes = self._boxes.notes()
-        return boxes if self._opened is None else (*boxes, *self._opened.notes)
+        if self._opened is None:
+            return boxes
+        unit = "time_s: the latest frames are more than 5 s apart, so that no road user is tracked; give seconds."
+        return (*boxes, *([unit] if self._n_long_steps == _N_LONG_STEPS else []), *self._opened.notes)
 
     def events(self) -> tuple[Event, ...]:
         """Events of the last `keep_s` seconds, including events in progress; times count from the first frame."""
@@ -259,6 +264,8 @@ class Pipeline:
             if self._opened is None:  # a first frame that is refused does not fix the size of the images
                 opened.close()
             raise
+        is_long = self._index > 0 and time_s - self._last_s > _LONG_STEP_S
+        self._n_long_steps = min(self._n_long_steps + 1, _N_LONG_STEPS) if is_long else 0
         self._opened, self._first_s, self._last_s = opened, first_s, time_s
         self._index += 1
         self._rows.add(result)

@@ -61,7 +61,7 @@ class Run:
         >>> import track_range as tr
         >>> run = tr.Run.mono("dashcam.mp4", focal_px=1150, duration=0.3)
         >>> for frame in run:
-        ...     nearest_m = frame.ranges["fused"].distance_m.min(initial=999.0)
+        ...     nearest_m = min((t.filtered_m for t in frame.objects if t.filtered_m > 0), default=None)
         >>> run.to_arrow().column_names[:4]
         ['frame', 'time_s', 'track_id', 'class']
         >>> run.summary["calibration"]

@@ -99,3 +99,21 @@ def test_latency_of_a_pipeline(folders: tuple[Path, Path, Path]) -> None:
     now_s = time.time()
     assert latencies([1.0, 2.0, 3.0])["p50"] > 0
     assert latencies([now_s - 5.0 + 0.1 * number for number in range(3)])["p50"] >= 4800
+
+
+def test_milliseconds_are_no_seconds(folders: tuple[Path, Path, Path]) -> None:
+    image = np.asarray(cv2.imread(str(min(folders[0].iterdir()))), np.uint8)
+
+    class Boxes:
+        def detect(self, image: np.ndarray) -> tr.Detections:
+            return tr.Detections.empty()
+
+    def is_noted(times_s: list[float]) -> bool:
+        with tr.Pipeline.mono(focal_px=100, detector=Boxes()) as pipeline:
+            for time_s in times_s:
+                pipeline.step(image, time_s)
+            return any("time_s" in note for note in pipeline.notes)
+
+    assert is_noted([0.0, 100.0, 200.0, 300.0])
+    assert not is_noted([0.0, 100.0, 200.0, 200.1])
+    assert not is_noted([0.0, 0.1, 100.0, 100.1])
