@@ -196,7 +196,7 @@ def _notes(settings: RangeEvaluationSettings, n_sequences: int, n_folds: int) ->
     if settings.frames is not None and not is_refitted:
         notes.append(
             "The packaged size curves were fitted to drives of KITTI's tracking set, some of which are also in its "
-            "object set; for a figure to compare, fit them to the training frames (--fit-frames)."
+            "object set; for comparable figures, fit them to the training frames (--fit-frames)."
         )
     if settings.filter != "none":
         notes.append(

@@ -52,7 +52,7 @@ class FitSettings(Options):
         bool, option("Comparison of all curves of one measure: errors on the fitted and on other sequences.")
     ] = False
     picture: Annotated[
-        Path | None, option("Picture of all curves of one measure over the boxes.", metavar="FILE.png")
+        Path | None, option("Picture of the labelled boxes with all curves of one measure.", metavar="FILE.png")
     ] = None
     leave_out: Annotated[
         tuple[str, ...], option("Sequences to leave out for testing, such as 0005.", metavar="A,B,...")

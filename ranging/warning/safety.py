@@ -81,7 +81,7 @@ class SafetyMeasures:
 
 
 class SafetyMonitor:
-    """Measures of all tracks of a video, frame by frame; TET and TIT have a memory."""
+    """Measures of all tracks of a video, frame by frame; TET and TIT are sums over the frames so far."""
 
     def __init__(self, settings: WarningSettings | None = None) -> None:
         """Start without tracks; None = default settings."""

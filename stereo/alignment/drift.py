@@ -98,7 +98,7 @@ class DriftMonitor:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """No messages: the health of the rig contains the windows."""
+        """Always empty; the windows are part of the health of the rig."""
         return ()
 
     def add(self, frame: Frame) -> None:

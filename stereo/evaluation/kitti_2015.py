@@ -108,7 +108,9 @@ def read_pair(folder: Path, name: str, *, rig: Path | None = None, row_offset_px
     if truth.ndim != 2 or truth.dtype != np.uint16:
         raise PairFileError(f"{root / TRUTH / name}.png: expected 16-bit grey values (256 times the disparity).")
     if instance.ndim != 2:
-        raise PairFileError(f"{root / INSTANCES / name}.png: expected grey values (numbers of cars), found colour.")
+        raise PairFileError(
+            f"{root / INSTANCES / name}.png: expected grey values (the number of the car at each pixel), found colour."
+        )
     file = rig or _calibration(root, name)
     cameras, notes = load_rig(file, size_px=(left.shape[1], left.shape[0]))
     if not cameras.is_rectified:

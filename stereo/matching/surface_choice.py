@@ -48,8 +48,9 @@ THETA = {
     "off_track": -0.20,
     "of_other_box": -1.24,
 }
-"""theta: multinomial logistic regression of the right surface on the features, with an L2 penalty of 2, on the scenario
-`occlusion` of the simulation, seeds 0-19, with and without sizes and priors (`python -m benchmarks surface_choice`)."""
+"""theta: multinomial logistic regression of the correct surface on the features, with an L2 penalty of 2, on the
+scenario `occlusion` of the simulation, seeds 0-19, with and without sizes and priors (`python -m benchmarks
+surface_choice`)."""
 
 
 @dataclass(frozen=True, slots=True)

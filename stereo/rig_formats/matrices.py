@@ -274,7 +274,7 @@ def _unit(kind: Kind, given: Quantities, length: float) -> tuple[float, str]:
         return 1.0, _DOUBT
     unit = 0.001 if length >= _MILLIMETRES or (square is not None and float(square[0]) > _CENTIMETRES) else 0.01
     also = f" (in millimetres it would be {length * 0.001:.3g} m: rig convert --unit mm)" if unit == 0.01 else ""
-    return unit, f"as T, {length:.4g} long, is read as {UNIT_NAMES[unit]}{also}"
+    return unit, f"since the length of T, {length:.4g}, is taken to be in {UNIT_NAMES[unit]}{also}"
 
 
 def _camera(kind: Kind, given: Quantities, side: Side, number: str, path: Path, *, is_fisheye: bool) -> PinholeCamera:

@@ -160,7 +160,7 @@ def _read_folder(folder: Path, *, is_grey: bool) -> RigCalibration:
             n_single += 1
     raise RigError(
         f"{folder}: expected a folder with ROS's camera_info of two cameras in YAML, or a calibration of a pair, found "
-        f"{n_single} calibrations of one camera; give a file."
+        f"{n_single} calibrations of single cameras; give the calibration file of the pair."
     )
 
 

@@ -160,7 +160,7 @@ def test_scores_that_say_nothing_are_refused(scene):
     rng = np.random.default_rng(0)
     samples = ScoreSamples(np.full(600, 2), rng.uniform(0.05, 0.95, 600), rng.uniform(size=600) < 0.3)
     detector = YoloDetector(scene / "nano.onnx")
-    with pytest.raises(ModelError, match=r"images: .*of car, background would get 0\.0[3-9]"):
+    with pytest.raises(ModelError, match=r"images: .*of car, background would get a probability of 0\.0[3-9]"):
         write_calibrated_copy(detector, fit_scores(samples), scene / "copy.onnx", images=scene / "images")
     assert not (scene / "copy.onnx").exists()
 

@@ -134,7 +134,7 @@ def test_opencv_left_camera_only(tmp_path: Path) -> None:
 def test_opencv_baseline_in_millimetres(tmp_path: Path) -> None:
     rig, notes = load_rig(opencv_files(tmp_path, baseline=120.0)[0], size_px=SIZE)
     assert rig.baseline_m == pytest.approx(0.12)
-    assert "read as millimetres" in notes[0]
+    assert "is taken to be in millimetres" in notes[0]
 
 
 def fisheye_file(path: Path, names: tuple[str, str], *, flag: int | None) -> Path:

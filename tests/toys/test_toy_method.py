@@ -31,7 +31,19 @@ def run_folder(tmp_path, cli):
     boxes.write_text("".join(f"{i},10,4,40,47,0.9\n" for i in range(8)))
 
     def run():
-        arguments = ("--mono", video, "--focal-px", 100, "--detections", boxes, "--lanes", "off", "--out", out)
+        arguments = (
+            "--mono",
+            video,
+            "--focal-px",
+            100,
+            "--detections",
+            boxes,
+            "--lanes",
+            "off",
+            "--verbose",
+            "--out",
+            out,
+        )
         status, printed, complaint = cli(*arguments)
         assert status == 0, complaint
         return out, printed

@@ -50,7 +50,10 @@ class Registry(Generic[T]):
 
 
 def imported(thing: T | str) -> T:
-    """The object that a text "package.module:attribute" names, or another value itself; import errors pass."""
+    """The object that a text "package.module:attribute" names; other values are returned as they are.
+
+    Errors of the import are not caught.
+    """
     if not isinstance(thing, str):
         return thing
     module, _, attribute = thing.partition(":")

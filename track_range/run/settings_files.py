@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
@@ -21,11 +21,13 @@ from track_range.foundation.schema_version import SCHEMA_VERSION
 from track_range.foundation.validation import first_problem
 from track_range.recording.live.address import LiveAddress, live_address
 from track_range.recording.names import VideoName, files_of
-from track_range.recording.recording import Recording
 from track_range.results.provenance import settings_hash
 from track_range.run.options.detection import DetectionOptions
 from track_range.run.options.input import plain_name
 from track_range.run.settings import PipelineOptions, RunSettings
+
+if TYPE_CHECKING:
+    from track_range.recording.recording import Recording
 
 _FILES = RunSettings.fields_where(is_file)
 _INPUT_FILES = _FILES - RunSettings.fields_where(lambda field: option_of(field).is_output)
@@ -177,7 +179,7 @@ def unused_options(settings: RunSettings) -> tuple[str, ...]:
     if settings.mono is not None and settings.align not in ("auto", "off"):
         notes.append("--align is not used with one camera.")
     if settings.realtime and any(isinstance(video, LiveAddress) for video in settings.videos):
-        notes.append("--realtime is not used with cameras and streams, whose images come at their pace.")
+        notes.append("--realtime has no effect on cameras and streams, which are read in real time already.")
     optional = (name for name, field in DetectionOptions.model_fields.items() if field.default is None)
     of_detector = [name for name in optional if name not in ("detector", "detections")]
     given = [RunSettings.flag(name) for name in of_detector if getattr(settings, name) is not None]

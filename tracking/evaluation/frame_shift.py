@@ -44,7 +44,7 @@ def voted_shift(truth_frame: IntArray, truth_px: FloatArray, frame: IntArray, xy
 
 
 def _mean_iou(frames: IntArray, truth: tuple[IntArray, FloatArray], others: tuple[IntArray, FloatArray]) -> float:
-    """Mean over truth boxes of the largest IoU with another box in their frame, where it has one; 0 = too few boxes."""
+    """Mean of the largest IoU of each truth box that overlaps a box of the other set in its frame; 0 = too few."""
     best = [np.zeros(0)]
     for number in frames:
         overlap = iou(truth[1][truth[0] == number], others[1][others[0] == number]).max(axis=1, initial=0.0)

@@ -67,7 +67,7 @@ def test_risk_coverage(cli, tmp_path):
     assert figures["best_confidence"]["sgbm-hh"] in MEASURES
     for curve in curves["sgbm-hh"].values():
         assert (curve["area_failures_pct"], curve["curve"][-1]["answered_pct"]) == (0.0, 100)
-    assert "answered" in printed
+    assert "most certain boxes" in printed
     assert "<svg" in chart.read_text()
 
 

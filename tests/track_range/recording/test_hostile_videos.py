@@ -99,7 +99,7 @@ def test_odd_entries_of_image_folders(tmp_path: Path) -> None:
     (tmp_path / f"{10**20}.png").write_bytes((tmp_path / "0.png").read_bytes())
     video = open_video(tmp_path)
     assert [(frame.index, frame.time_s) for frame in video] == [(0, 0.0), (1, 0.1)]
-    assert "do not count the frames" in video.notes[0]
+    assert "are no frame numbers" in video.notes[0]
     video.close()
 
 

@@ -240,7 +240,7 @@ def track_sequence(
     is_online: bool = False,
     advance: Callable[[], None] = lambda: None,
 ) -> TrackedSequence:
-    """Run a tracker without tracks on `n_frames` frames; with `images` by number, a video or folder, if there are any.
+    """Run a new tracker on `n_frames` frames, with the images of a video or folder if `images` is given.
 
     `fps` applies if there is no video that states one. The output is as in a live run (`is_online`), or refined with
     later frames (`tracking.offline_refinement`). `advance` is called after each frame. VideoError if the images cannot

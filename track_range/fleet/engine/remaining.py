@@ -89,6 +89,6 @@ def content_hash(clip: Clip, digests: Mapping[str, str]) -> str:
 
 
 def fingerprint(clip: Clip, files: Mapping[str, object]) -> str:
-    """Files of a clip, each with its size and time of change or with its hash, and its settings, as canonical JSON."""
+    """Files of a clip, each with size and time of change or with a hash, and the clip's settings, in canonical JSON."""
     settings = {name: value for name, value in clip.settings.items() if not is_file_setting(name, value)}
     return json.dumps({"files": files, "settings": settings}, sort_keys=True, separators=(",", ":"))

@@ -124,7 +124,11 @@ class RecordingCalibration:
         is_contradicted = aspect != 1.0 and abs(own / aspect - 1.0) > _MAX_ASPECT_ERROR
         if not is_contradicted and (recorded.has_square_pixels or recorded.is_wide):
             return ()
-        doubt = f" The video states {aspect:.3g} times: check the calibration." if is_contradicted else ""
+        doubt = (
+            f" By the video, they are {aspect:.3g} times as wide as high; check the calibration."
+            if is_contradicted
+            else ""
+        )
         return (
             f"Pixels of the images of {recorded.width_px}x{recorded.height_px} px are {own:.3g} times as wide as high: "
             f"resampled to {self.camera.width_px}x{self.camera.height_px} px with square pixels, to which focal length "

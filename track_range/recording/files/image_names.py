@@ -140,8 +140,8 @@ def _numbered(files: Sequence[Path], folder: Path, notes: list[str]) -> list[tup
                 )
             return list(zip(column, files, strict=True))
     notes.append(
-        f"{folder}: the numbers in the names do not count the frames ({files[0].name}, {files[-1].name}); the images "
-        "are taken in the order of their names, at the frame rate --folder-fps."
+        f"{folder}: the numbers in the names are no frame numbers ({files[0].name}, {files[-1].name}); the images "
+        "are taken in the order of their names, at the frame rate given by --folder-fps."
     )
     return list(enumerate(files))
 

@@ -62,7 +62,8 @@ class FoundLayout:
 
     def sentence(self, name: str) -> str:
         """The note for the user."""
-        return f"{name}: the images of the two cameras are {_SHOWN[self.layout]} ({self.source}; --stereo-layout)."
+        shown = f"{_SHOWN[self.layout]} ({self.source})"
+        return f"{name}: the images of the two cameras are {shown}; --stereo-layout chooses another layout."
 
 
 def find_layout(video: RecordedVideo | LiveVideo, given: LayoutOption) -> FoundLayout:

@@ -330,7 +330,7 @@ def _sentence(group: list[SyncFinding]) -> str:
     if first.kind == "apart":
         return (
             f"Left and right do not show the same moment ({when}), and no lag of up to {MAX_LAG} frames explains it: "
-            f"{off}; check that the two videos belong together, and their timestamps."
+            f"{off}; check the timestamps, and that the two videos belong together."
         )
     done = off if first.action == "stereo off" else "left frames are paired with the right ones of their moment"
     return (

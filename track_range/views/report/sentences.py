@@ -180,7 +180,7 @@ def _disparities(alignment: Mapping[str, Any]) -> str:
         more = "less" if curvature_px < 0 else "more"
         edges = f", and {abs(curvature_px):.2f} px {more} at the left and right image edges"
     state = "corrected" if alignment.get("is_applied") else "not significant; not applied"
-    return f"Disparities {abs(offset_px):.2f} px {sign}{edges} (source: {source}): {state}."
+    return f"Disparities are {abs(offset_px):.2f} px {sign}{edges} (source: {source}; {state})."
 
 
 def _residual(alignment: Mapping[str, Any], summary: Summary) -> str:

@@ -93,7 +93,8 @@ def test_predicted_boxes_are_no_positions() -> None:
 
 
 def test_timeline_counts_road_users() -> None:
-    columns = {"time_s": np.array([0.0, 0.0, 0.1, 0.3]), "frame": np.array([0.0, 0.0, 1.0, 3.0])}
+    columns = {"time_s": np.array([0.0, 0.0, 0.0, 0.1, 0.3]), "frame": np.array([0.0, 0.0, 0.0, 1.0, 3.0])}
+    columns["class"] = np.array(["car", "person", "traffic light", "car", "car"])
     data = timeline(columns, {"frames": 5})
     assert (data["from_s"], data["to_s"]) == (0.0, 0.5)
     assert data["n"] == "2,-1,-1,1,-1"
@@ -102,14 +103,18 @@ def test_timeline_counts_road_users() -> None:
 
 def test_timeline_with_ego_speed() -> None:
     columns = {"time_s": np.arange(3) / 10, "frame": np.arange(3.0), "ego_mps": np.array([10.0, np.nan, 12.0])}
+    columns["class"] = np.full(3, "car")
     assert timeline(columns, {})["ego"] == "100,,20"
 
 
 def test_timeline_without_rows() -> None:
-    data = timeline({"time_s": np.zeros(0), "frame": np.zeros(0)}, {"frames": 20, "starts_s": 3.0})
+    data = timeline(
+        {"time_s": np.zeros(0), "frame": np.zeros(0), "class": np.zeros(0, np.str_)}, {"frames": 20, "starts_s": 3.0}
+    )
     assert (data["from_s"], data["to_s"]) == (3.0, 5.0)
 
 
 def test_timeline_of_a_long_run() -> None:
     columns = {"time_s": np.arange(36_000) / 10, "frame": np.arange(36_000.0)}
+    columns["class"] = np.full(36_000, "car")
     assert len(timeline(columns, {})["n"].split(",")) == MAX_BINS

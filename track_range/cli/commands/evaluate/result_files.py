@@ -100,9 +100,9 @@ def risk_grids(curves: _Curves) -> list[tables.Grid]:
     """Failures, mean and 95th percentile of the error among the most certain boxes, by the share that is answered."""
     grids = []
     for title, key, area in (
-        ("Failures (%) when only the most certain boxes are answered", "failures_pct", "area_failures_pct"),
-        ("Mean error (%) of the answered boxes", "mean_relative_error_pct", "area_error_pct"),
-        ("95th percentile of the error (%) of the answered boxes", "p95_relative_error_pct", None),
+        ("Failures (%) when only the most certain boxes have a distance", "failures_pct", "area_failures_pct"),
+        ("Mean error (%) of the boxes with a distance", "mean_relative_error_pct", "area_error_pct"),
+        ("95th percentile of the error (%) of the boxes with a distance", "p95_relative_error_pct", None),
     ):
         columns = [
             tables.Column(f"{pct} %", [_at(curve, pct, key) for curve in curves.values()], "{:.2f}", cost=abs)

@@ -54,7 +54,7 @@ def _indexed(movie: Movie) -> Iterator[int]:
 
 
 def _top_level(movie: Movie) -> Iterator[int]:
-    """Offsets of boxes `free` of the file: the type is the first half of the mark, or it is followed by all of it."""
+    """Possible offsets of the mark in boxes `free`: it begins with the type of the box, or directly after it."""
     for box in movie.top:
         if box.type in (b"free", b"skip"):
             yield box.start - 8
