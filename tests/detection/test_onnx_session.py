@@ -252,6 +252,16 @@ def test_networks_of_int8_are_float_on_gpus(tmp_path, monkeypatch, cpu_session):
         (outputs,) = OnnxSession(path, Runtime(device=device)).run(np.tile(values, (1, 3, 1, 1)))
         np.testing.assert_allclose(outputs[0, :, 0], np.outer([0.5, -1.5], expected), rtol=1e-5, atol=1e-6)
     assert float_network(write_model(tmp_path / "float.onnx", np.zeros((1, 2, 3)))) is None
+    weights = helper.make_tensor("w", TensorProto.FLOAT, [2, 1, 1, 1], [0.3, -0.7])  # rounded in the network
+    nodes[2:3] = [
+        helper.make_node("QuantizeLinear", ["w", "a", "b"], ["r"]),
+        helper.make_node("DequantizeLinear", ["r", "a", "b"], ["v"]),
+    ]
+    graph = helper.make_graph(nodes, "g", [image], [out], [*half, *one, weights])
+    path.write_bytes(
+        helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8).SerializeToString()
+    )
+    assert float_network(path) is None
 
 
 @pytest.mark.parametrize(("n_limited", "given", "n_threads"), [(0, 0, 0), (3, 0, 3), (3, 5, 5)])

@@ -24,7 +24,7 @@ from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import quoted
 from track_range.recording.cameras.calibration import RecordingCalibration
 from track_range.recording.recording import Recording
-from track_range.run.options.detection import DetectionOptions
+from track_range.run.options.detection import MASK_SUFFIXES, DetectionOptions
 from track_range.run.options.opened import DetectorOptions, open_detector
 from track_range.run.settings import RunSettings
 from track_range.stereo.geometry.frames import Frame
@@ -133,7 +133,7 @@ def outside_regions(source: BoxSource, regions: str | None, calibration: Recordi
     detect, prepare = source.detect, source.prepare
     area_px = cv2.integral(region_mask(regions, calibration.sizes_px[0])).astype(
         np.int64
-    )  # (H + 1, W + 1) of the regions up to a pixel
+    )  # (H + 1, W + 1), up to a pixel
 
     def outside(detections: Detections) -> Detections:
         recorded_px = calibration.rectifier.recorded_boxes(detections.xyxy_px)
@@ -154,7 +154,7 @@ def region_mask(regions: str, size_px: tuple[int, int]) -> Image:
         "--ignore (Python ignore): expected polygons 'x,y x,y x,y / ...' in pixels, or a mask image of the size of the "
         f"video, {width}x{height} px"
     )
-    if Path(regions).suffix.lower() in (".png", ".bmp", ".jpg", ".jpeg"):
+    if Path(regions).suffix.lower() in MASK_SUFFIXES:
         image = cv2.imread(regions, cv2.IMREAD_GRAYSCALE) if Path(regions).is_file() else None
         if image is None:
             raise UsageError(f"{expected}, found no readable image {quoted(regions)}.")

@@ -22,7 +22,7 @@ from track_range.foundation.validation import first_problem
 from track_range.recording.live.address import LiveAddress, live_address
 from track_range.recording.names import VideoName, files_of
 from track_range.results.provenance import settings_hash
-from track_range.run.options.detection import DetectionOptions
+from track_range.run.options.detection import MASK_SUFFIXES, DetectionOptions
 from track_range.run.options.input import plain_name
 from track_range.run.settings import PipelineOptions, RunSettings
 
@@ -146,6 +146,8 @@ def absolute_settings(settings: RunSettings) -> dict[str, Any]:
 def without_folders(run: Mapping[str, Any]) -> dict[str, Any]:
     """Settings or inputs with the names of files instead of their paths, which may contain the name of a person."""
     keys = _FILES | {"stereo", "mono", "left", "right"}
+    if not str(run.get("ignore")).lower().endswith(MASK_SUFFIXES):
+        keys -= {"ignore"}
     return {key: _name(value) if key in keys else value for key, value in run.items()}
 
 
@@ -165,9 +167,8 @@ def input_files(settings: RunSettings) -> list[Path]:
 
 def assumed_rate(settings: RunSettings, recording: Recording) -> tuple[str, ...]:
     """A note on images without times of which the user gave no frame rate."""
-    if "folder_fps" in settings.model_fields_set or all(
-        getattr(video, "has_times", True) for video in recording.videos
-    ):
+    has_times = all(getattr(video, "has_times", True) for video in recording.videos)
+    if has_times or settings.folder_fps != RunSettings.model_fields["folder_fps"].default:
         return ()
     rate = f"their times follow from {settings.folder_fps:g} frames per second"
     return (f"The images have no times: {rate}, on which all speeds depend. Give the rate with --folder-fps.",)
@@ -181,7 +182,7 @@ def unused_options(settings: RunSettings) -> tuple[str, ...]:
     if settings.realtime and any(isinstance(video, LiveAddress) for video in settings.videos):
         notes.append("--realtime has no effect on cameras and streams, which are read in real time already.")
     optional = (name for name, field in DetectionOptions.model_fields.items() if field.default is None)
-    of_detector = [name for name in optional if name not in ("detector", "detections")]
+    of_detector = [name for name in optional if name not in ("detector", "detections", "ignore")]
     given = [RunSettings.flag(name) for name in of_detector if getattr(settings, name) is not None]
     if settings.detections is not None and given:
         notes.append(f"{', '.join(given)} {'is' if len(given) == 1 else 'are'} not used with --detections.")

@@ -1,15 +1,19 @@
 """Regions without detections (`--ignore`), and the note that proposes them."""
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 
 import track_range as tr
 from track_range.detection.detections import Detections
+from track_range.fleet.engine.plan import _shared_files
 from track_range.foundation.errors import UsageError
 from track_range.recording.cameras.calibration import calibration_of
 from track_range.run.box_source import boxes_of, outside_regions, region_mask
 from track_range.run.findings import still_boxes_note
+from track_range.run.settings_files import settings_from, without_folders
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 
@@ -129,8 +133,25 @@ def test_ignored_boxes_of_a_run(cli, tmp_path):
     options = ("--detections", tmp_path / "det.txt", "--focal-px", 150, "--no-overlay", "--lanes", "off")
     for ignored, n_tracks in ((), 2), (("--ignore", BONNET), 1):
         out = tmp_path / f"out{n_tracks}"
-        status, _, complaint = cli("--mono", tmp_path / "images", *options, *ignored, "--write", "mot", "--out", out)
+        status, printed, complaint = cli(
+            "--mono", tmp_path / "images", *options, *ignored, "--write", "mot", "--out", out
+        )
         assert status == 0, complaint
+        assert "not used with --detections" not in printed
         assert len(np.unique(np.loadtxt(out / "mot.txt", delimiter=",")[:, 1])) == n_tracks
     status, _, complaint = cli("--mono", tmp_path / "images", *options, "--ignore", "1,1")
     assert (status, "Python ignore" in complaint) == (2, True)
+
+
+def test_polygons_are_no_files():
+    regions = "1,2 9,2 9,9.5 / 20,20.5 30,20 30,30.5"
+    settings = settings_from({"mono": Path("a/m.mp4"), "detector": "road", "ignore": regions})
+    assert without_folders({"ignore": settings.ignore, "mono": "a/m.mp4"}) == {
+        "ignore": settings.ignore,
+        "mono": "m.mp4",
+    }
+    assert without_folders({"ignore": "a/mask.PNG"}) == {"ignore": "mask.PNG"}
+    assert "ignore" not in _shared_files(settings)
+    assert (
+        _shared_files(settings.model_copy(update={"ignore": "a/mask.PNG"}))["ignore"] == Path("a/mask.PNG").absolute()
+    )

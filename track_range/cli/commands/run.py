@@ -155,7 +155,7 @@ def print_outcome(run: Run, console: Console) -> None:
     accuracy = accuracy_lines(run.summary) if run.summary["truth"] else ()
     print_line(console, *map(printable, event_lines(run.events)), *accuracy)
     if "report.html" in files:
-        print_line(console, f"Report with the video at these moments: {files['report.html']}")
+        print_line(console, f"Report of the run: {files['report.html']}")
 
 
 @contextmanager

@@ -24,6 +24,7 @@ from track_range.foundation.files.numeric_text import number
 from track_range.foundation.options import is_file, option_of
 from track_range.ranging.size_models.curve import load_curves
 from track_range.recording.telemetry.speed_source import AUTO, OFF
+from track_range.run.options.detection import MASK_SUFFIXES
 from track_range.run.options.opened import DetectorOptions, open_detector
 from track_range.run.settings import RunSettings
 from track_range.run.settings_files import read_settings, settings_from
@@ -198,6 +199,8 @@ def _shared_files(settings: RunSettings) -> dict[str, Path]:
             model = find_model(value)
             if model.origin != "catalogue" or model.entry is None:
                 files[name] = model.path.absolute()
+        elif name == "ignore":
+            files |= {name: Path(value).absolute()} if str(value).lower().endswith(MASK_SUFFIXES) else {}
         elif isinstance(value, Path) or (value is not None and Path(value).suffix and math.isnan(number(value))):
             files[name] = Path(value).absolute()
     return files

@@ -17,6 +17,8 @@ _shared_option = partial(option, is_shared=True)
 
 # Fields that several commands have.
 
+MASK_SUFFIXES = (".png", ".bmp", ".jpg", ".jpeg")  # of a mask image for --ignore; other values are polygons
+
 LETTERBOX_HELP = (
     "Placement and padding grey of images in the network input: centred-114, centred-128, top-left-114, stretch"
 )
