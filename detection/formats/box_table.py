@@ -33,6 +33,7 @@ class VideoFacts:
     fps: float | None = None
     is_rectified: bool = False  # boxes are in rectified pixels, as in the results of a run, not in those of the video
     provenance: Mapping[str, str] = field(default_factory=dict)  # program, model, ..., for metadata of files
+    step: int = 1  # N = each N-th frame from the first one has labels if there are any objects in it
 
     @property
     def pixels(self) -> str:
@@ -185,4 +186,4 @@ def _column(values: npt.ArrayLike, dtype: type, *shape: int) -> npt.NDArray[Any]
 def frames_listed(table: BoxTable) -> range:
     """Numbers of the frames that a written file lists: from the first labelled one to the last of the video."""
     n_frames = max(table.video.n_frames or 0, int(table.frame.max(initial=-1)) + 1)
-    return range(min([table.video.first_frame, *table.frame[:1].tolist()]), n_frames)
+    return range(min([table.video.first_frame, *table.frame[:1].tolist()]), n_frames, table.video.step)

@@ -249,16 +249,18 @@ class _Reader:
         truth = None if matched is None else matched.truth
         frame = columns["frame"].astype(np.int64)
         first, last = (int(frame.min()), int(frame.max())) if len(frame) else (0, -1)
+        every = every_of(self.settings)
         labelled = np.zeros(0, np.int64) if truth is None else np.unique(truth.frame)
+        labelled = labelled[(labelled >= first) & (labelled <= last) & ((labelled - first) % every == 0)]
         methods = tuple(name for name in methods_measured(columns) if f"{name}_sigma_m" in columns)
         inputs = {key: self.settings[key] for key in _INPUTS if key in self.settings}
         stereo = self.settings.get("stereo")
         if isinstance(stereo, list) and len(stereo) == 2:
             inputs = {"left": stereo[0], "right": stereo[1], **inputs}
         return {
-            "frames": last - first + 1,
+            "frames": (last - first) // every + 1,
             **range_scores(columns, matched, methods),
-            "tracks": track_scores(columns, truth, labelled[(labelled >= first) & (labelled <= last)]),
+            "tracks": track_scores(columns, truth, labelled),
             "closest_approaches": closest_approaches(columns),
             "truth": truth.protocol if truth is not None else None,
             "inputs": inputs,
@@ -289,6 +291,12 @@ class _Reader:
                 f"{', '.join(invalid[:_MAX_NAMED])}{more}."
             )
         return {**checked, "notes": [*self.missing, *(checked.get("notes") or [])]}
+
+
+def every_of(settings: Sections) -> int:
+    """Each how many frames of the video are processed with the settings of a run."""
+    every = settings.get("every")
+    return every if isinstance(every, int) and 1 <= every <= 1000 else 1
 
 
 def _section(document: Sections, name: str) -> dict[str, Any]:

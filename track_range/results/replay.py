@@ -28,7 +28,7 @@ def frames_of_rows(
     """One result per frame; numbers have the precision of the rows, and the UTC of frames without tracks is unknown.
 
     `columns` are in the order of their frames; `frame_index` are the numbers of all frames of the run, in order;
-    `methods` are the distances that were measured; `fps` is the nominal frame rate; `poses` are the camera's.
+    `methods` are the distances that were measured; `fps` is the frame rate of the video; `poses` are the camera's.
     """
     frame = columns["frame"]
     known_frame, first_row = np.unique(frame, return_index=True)

@@ -283,7 +283,7 @@ class Run:
         with RunOutput(self.settings, folder) as output:
             output.start(session, has_videos=False)
             columns = rows.table.to_columns(is_rounded=False)
-            for result in frames_of_rows(columns, rows.frame_index, rows.methods, session.recording.fps):
+            for result in frames_of_rows(columns, rows.frame_index, rows.methods, session.recording.videos[0].fps):
                 output.write(result)
             self._finish(output)
         return folder

@@ -120,6 +120,25 @@ def test_killed_run(run: Path) -> None:
     assert read.summary["versions"] == {"numpy": "2"}
 
 
+def test_killed_run_of_each_second_frame(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "run", every=2)
+    (run / "summary.json").unlink()
+    header, *rows = (run / "tracks.csv").read_text().splitlines()
+    (run / "tracks.csv").write_text("\n".join([header, *rows[::2]]) + "\n")
+    summary = read_run_folder(run).summary
+    assert summary["frames"] == 3
+    assert (summary["tracks"]["mota"], summary["tracks"]["hota"]) == pytest.approx((100.0, 100.0))
+    (run / "tracks.csv").write_text("\n".join([header, rows[0], rows[4]]) + "\n")  # frame 2 is missed, 1 and 3 are not
+    assert read_run_folder(run).summary["tracks"]["mota"] == pytest.approx(200 / 3, abs=1e-3)
+
+
+@pytest.mark.parametrize("every", ["two", 0, 10**30, None])
+def test_killed_run_with_a_damaged_step(tmp_path: Path, every: object) -> None:
+    run = write_run(tmp_path / "run", every=every)
+    (run / "summary.json").unlink()
+    assert read_run_folder(run).summary["frames"] == N_FRAMES
+
+
 def test_killed_run_of_a_pair(tmp_path: Path) -> None:
     folder = write_run(tmp_path / "run", mono=None, stereo=["l.mp4", "r.mp4"])
     (folder / "summary.json").unlink()

@@ -10,6 +10,8 @@ import cv2
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+import yaml
+from mcap.reader import make_reader
 
 from tests.command_line import Finished
 from track_range.detection.formats.label_formats import LABEL_FORMATS, read_labels
@@ -118,6 +120,61 @@ def test_live_run_starts_at_its_first_frame(run: Path, tmp_path: Path, cli: Cli)
         (run / "settings.yaml").write_text(f"run: {{mono: '{video}'}}\n{settings}\n")
         assert cli("export", run, "--to", "coco", "--out", tmp_path / "out")[0] == 0
         assert len(json.loads((tmp_path / "out").read_text())["images"]) == n_images
+
+
+def each_third_frame(run: Path) -> None:
+    """Make the run one of each third frame of a 10 Hz video, without rows in frame 6."""
+    rows = (run / "tracks.csv").read_text().replace("\n1,0.1", "\n3,0.3").replace("\n2,0.2", "\n9,0.9")
+    (run / "tracks.csv").write_text(rows)
+    settings = (run / "settings.yaml").read_text().replace("run: {", "run: {every: 3, ").replace("10.0", f"{10 / 3}")
+    (run / "settings.yaml").write_text(settings)
+    (run / "summary.json").write_text('{"frames": 5}')  # 0 to 12
+
+
+def test_each_third_frame_as_labels(run: Path, tmp_path: Path, cli: Cli) -> None:
+    each_third_frame(run)
+    assert cli("export", run, "--to", "coco", "--out", tmp_path / "coco")[0] == 0
+    coco = json.loads((tmp_path / "coco").read_text())
+    assert [image["frame_index"] for image in coco["images"]] == [0, 3, 6, 9, 12]
+    assert coco["videos"][0]["fps"] == pytest.approx(10)
+    assert cli("export", run, "--to", "yolo", "--out", tmp_path / "yolo")[0] == 0
+    assert [int(file.stem[-6:]) for file in sorted((tmp_path / "yolo/labels").iterdir())] == [0, 3, 6, 9, 12]
+    video = yaml.safe_load((tmp_path / "yolo/data.yaml").read_text())["video"]
+    assert (video["frames"], video["fps"]) == (13, pytest.approx(10))
+    assert cli("export", run, "--to", "cvat", "--out", tmp_path / "cvat")[0] == 0
+    assert read_labels(tmp_path / "cvat").frame.tolist() == [0, 3, 9]
+
+
+def test_irregular_frames_are_all_listed(run: Path, tmp_path: Path, cli: Cli) -> None:
+    """After frames that could not be read, those of the run are no longer multiples of N."""
+    each_third_frame(run)
+    (run / "tracks.csv").write_text((run / "tracks.csv").read_text().replace("\n9,0.9", "\n10,1.0"))
+    assert cli("export", run, "--to", "coco", "--out", tmp_path / "coco")[0] == 0
+    assert len(json.loads((tmp_path / "coco").read_text())["images"]) == 13
+
+
+def test_each_third_frame_in_mcap(run: Path, tmp_path: Path, cli: Cli) -> None:
+    each_third_frame(run)
+    assert cli("export", run, "--to", "mcap", "--out", tmp_path / "mcap")[0] == 0
+    with (tmp_path / "mcap").open("rb") as file:
+        times_s = {message.log_time / 1e9 for _, channel, message in make_reader(file).iter_messages()
+                   if channel.topic == "/tracks/ranges"}  # fmt: skip
+    assert np.diff(sorted(times_s)) == pytest.approx([0.3] * 4)
+
+
+@pytest.mark.parametrize(
+    ("summary", "is_refused"), [({"frames_dropped": 2}, True), ({"frames_dropped": 0}, False), (None, True)]
+)
+def test_images_of_runs_with_dropped_frames(
+    run: Path, tmp_path: Path, cli: Cli, summary: dict[str, int] | None, is_refused: bool
+) -> None:
+    """A killed run has no number of dropped frames."""
+    (run / "settings.yaml").write_text((run / "settings.yaml").read_text().replace("run: {", "run: {realtime: true, "))
+    if summary is not None:
+        (run / "summary.json").write_text(json.dumps(summary))
+    status, _, error = cli("export", run, "--to", "yolo", "--images", "--out", tmp_path / "out")
+    assert (status != 0, "dropped frames" in error) == (True, is_refused)  # the video is missing
+    assert not (tmp_path / "out").exists()
 
 
 def test_provenance(run: Path, tmp_path: Path, cli: Cli) -> None:

@@ -26,7 +26,7 @@ from track_range.foundation.files.folder_lock import is_locked
 from track_range.foundation.files.output_files import OutputError, make_folder
 from track_range.foundation.options import Options, option
 from track_range.results.columns import Columns, methods_measured
-from track_range.results.folder import DEFAULT_FPS, RunFolder
+from track_range.results.folder import DEFAULT_FPS, RunFolder, every_of
 from track_range.results.formats.poses_file import read_poses
 from track_range.results.replay import frames_of_rows
 from track_range.results.writers import WRITERS, RunInfo, create_writer
@@ -124,6 +124,8 @@ def _check(settings: ExportSettings, run: RunFolder | None) -> None:
         raise UsageError(
             "--images: this run was anonymized, but the images would show the video's frames without anonymization."
         )
+    if settings.images and run is not None and run.summary.get("frames_dropped", run.settings.get("realtime")):
+        raise UsageError("--images: expected a run of all frames, found one that dropped frames, which lack labels.")
     if settings.images and run is None and settings.video is None:
         raise UsageError("--images requires --video, the video that the labels belong to.")
     out = settings.out
@@ -199,6 +201,7 @@ def _export_rows(settings: ExportSettings, run: RunFolder, camera: PinholeCamera
     writer = create_writer(settings.to)
     check_replaceable(settings.out, settings.to)
     fps, poses = run.fps or DEFAULT_FPS, read_poses(run.folder)
+    video_fps = fps * every_of(run.settings)
     info = RunInfo(
         camera=camera,
         rig=None,
@@ -212,7 +215,7 @@ def _export_rows(settings: ExportSettings, run: RunFolder, camera: PinholeCamera
         folder = Path(temporary)
         writer.open(info, folder)
         try:
-            for result in frames_of_rows(columns, frames, methods_measured(columns), fps, poses):
+            for result in frames_of_rows(columns, frames, methods_measured(columns), video_fps, poses):
                 writer.write(result)
         finally:
             writer.close(run.summary)

@@ -18,7 +18,7 @@ from track_range.foundation.files.structured_text import read_yaml
 from track_range.foundation.validation import validated
 from track_range.recording.live.address import live_address
 from track_range.recording.open_video import open_video
-from track_range.results.folder import DetectedCamera, RunFolder, read_run_folder
+from track_range.results.folder import DetectedCamera, RunFolder, every_of, read_run_folder
 from track_range.results.formats.box_files import table_of_rows
 from track_range.run.build import open_input
 from track_range.run.settings_files import settings_from
@@ -51,20 +51,21 @@ def open_run(folder: Path) -> tuple[RunFolder, PinholeCamera | None]:
 def boxes_of_run(run: RunFolder, camera: PinholeCamera | None) -> BoxTable:
     """The boxes of a run, in rectified pixels."""
     rows, frames, video_name = run.columns, run.summary.get("frames"), _video_of(run.settings)
-    n_frames = int(rows["frame"].max(initial=-1)) + 1
+    n_frames, every = int(rows["frame"].max(initial=-1)) + 1, every_of(run.settings)
     # the numbers of the frames of a live run start at that of the first processed one
     is_part = bool(run.settings.get("start_s")) or live_address(video_name) is not None
     first = int(rows["frame"].min(initial=n_frames)) if is_part else 0
     if isinstance(frames, int):
-        n_frames = max(n_frames, first + frames)
+        n_frames = max(n_frames, first + (frames - 1) * every + 1)
     video = VideoFacts(
         name=file_name_part(Path(video_name).stem),
         n_frames=n_frames or None,
         first_frame=first,
         size_px=None if camera is None else (camera.width_px, camera.height_px),
-        fps=run.fps,
+        fps=run.fps and run.fps * every,
         is_rectified=True,
         provenance=run.provenance.metadata(),
+        step=1 if ((rows["frame"] - first) % every).any() else every,
     )
     return table_of_rows(rows, camera, video)
 

@@ -101,6 +101,12 @@ def test_timeline_counts_road_users() -> None:
     assert "ego" not in data
 
 
+def test_timeline_of_each_third_frame() -> None:
+    columns = {"time_s": np.array([0.0, 0.3, 0.9]), "frame": np.array([0.0, 3.0, 9.0]), "class": np.full(3, "car")}
+    data = timeline(columns, {"frames": 5, "settings": {"every": 3}})
+    assert (data["frame_s"], data["to_s"], data["n"]) == (0.3, 1.5, "1,0,-1,1,-1")
+
+
 def test_timeline_with_ego_speed() -> None:
     columns = {"time_s": np.arange(3) / 10, "frame": np.arange(3.0), "ego_mps": np.array([10.0, np.nan, 12.0])}
     columns["class"] = np.full(3, "car")

@@ -18,6 +18,7 @@ from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.pipeline.colours import track_colour
 from track_range.results.approaches import track_extremes
 from track_range.results.columns import Columns, methods_measured, rows_by_track
+from track_range.results.folder import every_of
 from track_range.views.report.tables import figure
 
 LINE_POINTS = 1200  # of a line, longer ones are thinned; a page shows about one point per pixel
@@ -129,16 +130,17 @@ def _series(track: Columns, methods: list[str]) -> dict[str, Any]:
 def timeline(columns: Columns, summary: Mapping[str, Any]) -> dict[str, Any]:
     """Data of the timeline: number of road users and ego speed over the time of a run.
 
-    Keys: `from_s`, `to_s`, `frame_s` (duration of a frame); `t`, `n`: packed times and largest numbers of road users;
-    `ego`: ego speed, if known. Times are the starts of equal bins. The time span covers the frames of the summary and
-    the rows.
+    Keys: `from_s`, `to_s`, `frame_s` (time between processed frames); `t`, `n`: packed times and largest numbers of
+    road users; `ego`: ego speed, if known. Times are the starts of equal bins. The time span covers the frames of the
+    summary and the rows.
     """
     time_s, frame = column(columns, "time_s"), column(columns, "frame")
     first_s, n_frames = figure(summary, "starts_s") or 0.0, figure(summary, "frames") or 0.0
     frame_s = _DEFAULT_FRAME_S
     last_s = first_s + n_frames * frame_s
     if len(time_s):
-        between, span = float(np.ptp(frame)), float(np.ptp(time_s))
+        between = float(np.ptp(frame)) / every_of(summary.get("settings") or {})
+        span = float(np.ptp(time_s))
         frame_s = span / between if between and span / between > 0 else _DEFAULT_FRAME_S
         first_s = min(first_s, float(time_s.min()))
         last_s = max(float(time_s.max()) + frame_s, first_s + n_frames * frame_s)
