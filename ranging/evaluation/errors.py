@@ -42,8 +42,10 @@ def match_truth(frame: IntArray, xyxy_px: FloatArray, truth: Truth) -> IntArray:
 def match_boxes(frame: IntArray, xyxy_px: FloatArray, other_frame: IntArray, other_px: FloatArray) -> IntArray:
     """(N,) index of the other box (M, 4) in the frame of each box (N, 4), one to one by IoU; -1 = none."""
     matched = np.full(len(frame), -1)
+    orders = [(numbers, np.argsort(numbers, kind="stable")) for numbers in (frame, other_frame)]
+    by_frame = [(numbers[order], order) for numbers, order in orders]
     for number in np.intersect1d(frame, other_frame):
-        rows, labels = np.flatnonzero(frame == number), np.flatnonzero(other_frame == number)
+        rows, labels = (order[slice(*np.searchsorted(numbers, (number, number + 1)))] for numbers, order in by_frame)
         overlap = iou(xyxy_px[rows], other_px[labels])
         row, label = linear_sum_assignment(np.where(overlap >= MIN_IOU, overlap, 0.0), maximize=True)
         is_match = overlap[row, label] >= MIN_IOU

@@ -3,7 +3,14 @@ import pytest
 
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.video_labels.kitti import read_kitti
-from track_range.ranging.evaluation.errors import MethodColumn, coverage_only, match_truth, score_closing, score_methods
+from track_range.ranging.evaluation.errors import (
+    MethodColumn,
+    coverage_only,
+    match_boxes,
+    match_truth,
+    score_closing,
+    score_methods,
+)
 from track_range.ranging.evaluation.truth import CSV_PROTOCOL, KITTI_PROTOCOL, Truth, read_truth
 from track_range.stereo.geometry.camera import PinholeCamera
 
@@ -27,6 +34,22 @@ def test_matching_is_one_to_one_by_frame_and_iou():
     truth = truth_of([0, 0, 1], [[0, 0, 10, 10], [20, 0, 30, 10], [0, 0, 10, 10]], [10.0, 20.0, 30.0])
     boxes = np.array([[1, 0, 11, 10], [0, 0, 10, 10], [20, 0, 30, 10], [0, 0, 10, 10], [6, 0, 16, 10]], float)
     assert match_truth(np.array([0, 0, 0, 2, 1]), boxes, truth).tolist() == [-1, 0, 1, -1, -1]
+
+
+def test_unsorted_frames_are_matched_like_each_frame_by_itself():
+    """Frames of one run only, and frames in any order, as in rows that are sorted by track."""
+    rng = np.random.default_rng(5)
+    frames, boxes = [rng.integers(low, low + 30, 200) for low in (0, 5)], []
+    for _ in frames:
+        corner = rng.uniform(0, 40, (200, 2))
+        boxes.append(np.hstack([corner, corner + rng.uniform(20, 30, (200, 2))]))
+    expected = np.full(200, -1)
+    for number in range(35):
+        a, b = (np.flatnonzero(frame == number) for frame in frames)
+        match = match_boxes(np.zeros(len(a), int), boxes[0][a], np.zeros(len(b), int), boxes[1][b])
+        expected[a[match >= 0]] = b[match[match >= 0]]
+    assert 50 < np.count_nonzero(expected >= 0) < 150
+    assert match_boxes(frames[0], boxes[0], frames[1], boxes[1]).tolist() == expected.tolist()
 
 
 def scores(methods, true_m, **changes):

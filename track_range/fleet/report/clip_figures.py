@@ -26,7 +26,7 @@ _MAX_NAMED = 5  # largest number of clips that are named in a row
 _MAX_ROWS = 20  # largest number of reasons, notes, nodes and clips in a table
 _S_PER_H = 3600.0
 # what differs between messages of one kind: quoted names, and numbers, by themselves or as parts of names and versions
-_VARIABLE = re.compile(r"'[^']*'|(?P<number>(?<![\w.,/\\-])[+-]?\d+(?:\.\d+)?(?![\w/\\-]|[.,]\w))|\d+(?:[.,]\d+)*")
+_VARIABLE = re.compile(r"'[^']*'|(?P<number>(?<![\w.,:/\\-])[+-]?\d+(?:\.\d+)?(?![\w/\\-]|[.,:]\w))|\d+(?:[.,]\d+)*")
 
 
 class ClipColumns:
@@ -202,7 +202,7 @@ def _merged(texts: Sequence[str]) -> str:
 
     def merged(match: re.Match[str]) -> str:
         numbers = next(columns)
-        if match["number"] is None:
+        if match["number"] is None or None in numbers:
             return match[0]
         low, high = (pick(numbers, key=float) for pick in (min, max))
         return match[0] if float(low) == float(high) else f"{low} to {high}"

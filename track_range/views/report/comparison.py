@@ -150,18 +150,18 @@ def error_lines(runs: Sequence[ComparedRun]) -> list[dict[str, Any]]:
 # -- road users -------------------------------------------------------------------------------------------------------
 
 
-def compared_tracks(runs: Sequence[ComparedRun], *, has_pictures: bool = True) -> list[dict[str, Any]]:
+def compared_tracks(runs: Sequence[ComparedRun]) -> list[dict[str, Any]]:
     """The road users of each further run on the first run's video, beside the road users of the first run.
 
     Keys: `grid`, `sentences`, and `pictures` of the largest disagreements: `text`, and `images` (name of the run,
     distance and data URI, "" = none, of each run).
     """
-    return [_compared_pair(runs[0], run, has_pictures) for run in runs[1:] if run.video == runs[0].video]
+    return [_compared_pair(runs[0], run) for run in runs[1:] if run.video == runs[0].video]
 
 
-def _compared_pair(first: ComparedRun, second: ComparedRun, has_pictures: bool) -> dict[str, Any]:
-    differences, pair = track_differences(first.rows, second.rows), (first, second)
-    rows, pictures = [], list[dict[str, Any]]()
+def _compared_pair(first: ComparedRun, second: ComparedRun) -> dict[str, Any]:
+    differences, matched = track_differences(first.rows, second.rows)
+    pair, rows, pictures = (first, second), [], list[dict[str, Any]]()
     for one in differences:
         name, words, time = " / ".join(dict.fromkeys(one["names"])), f" {_ARROW} ".join(one["words"]), one["time_s"]
         link = f"{address(first.link)}#t={time:.3f}" if first.link else ""
@@ -169,7 +169,7 @@ def _compared_pair(first: ComparedRun, second: ComparedRun, has_pictures: bool) 
         texts = (f"{one['difference_pct']:+.1f}", closing, str(one["frames"]))
         cells = (Cell(name), Cell(f"{one['sigmas']:.1f}"), Cell(words), Cell(time_words(time), link=link))
         rows.append((*cells, *map(Cell, texts)))
-        if has_pictures and len(pictures) < _MOST_PICTURES and one["sigmas"] >= _CHANGED_SIGMA:
+        if len(pictures) < _MOST_PICTURES and one["sigmas"] >= _CHANGED_SIGMA:
             places = zip(pair, one["words"], one["boxes"], strict=True)
             starts_s = [figure(run.summary, "starts_s") or 0.0 for run in pair]
             images = [
@@ -179,8 +179,8 @@ def _compared_pair(first: ComparedRun, second: ComparedRun, has_pictures: bool) 
             text = f"{name} at {time_words(time)}: {words}, {one['sigmas']:.1f} {tables.SIGMA} apart"
             pictures.append({"text": text, "images": images})
     sentences = [f"{counted(len(differences), 'road user')} in both runs."]
-    for side, run in enumerate(pair):
-        only = [*unmatched_names(run.rows, [one["names"][side] for one in differences])]
+    for run, ids in zip(pair, matched, strict=True):
+        only = [*unmatched_names(run.rows, ids)]
         more = f" and {len(only) - _MOST_NAMED} more" if len(only) > _MOST_NAMED else ""
         sentences += [f"Only in {run.name}: {', '.join(only[:_MOST_NAMED])}{more}."] if only else []
     title = f"Road users, the largest disagreement first: {first.name} and {second.name}"

@@ -67,9 +67,9 @@ def write_report(
     _write_page(path, report_page(summary, columns, events, clips=addresses, poses=poses))
 
 
-def write_comparison(path: Path, runs: Sequence[comparison.ComparedRun]) -> None:
-    """Write the page that compares several runs, atomically; OutputError if the file cannot be written."""
-    _write_page(path, comparison_page(runs))
+def write_comparison(path: Path, runs: Sequence[comparison.ComparedRun], tracks: Sequence[Mapping[str, Any]]) -> None:
+    """Write `comparison_page`, atomically; OutputError if the file cannot be written."""
+    _write_page(path, comparison_page(runs, tracks))
 
 
 def _write_page(path: Path, page: str) -> None:
@@ -132,8 +132,8 @@ def report_page(
     )
 
 
-def comparison_page(runs: Sequence[comparison.ComparedRun]) -> str:
-    """HTML of the page that compares several runs."""
+def comparison_page(runs: Sequence[comparison.ComparedRun], tracks: Sequence[Mapping[str, Any]]) -> str:
+    """HTML of the page that compares several runs; `tracks` are their `compared_tracks`."""
     lines = comparison.error_lines(runs)
     return rendered(
         "comparison.html.j2",
@@ -143,7 +143,7 @@ def comparison_page(runs: Sequence[comparison.ComparedRun]) -> str:
             for run in runs
         ],
         notes=comparison.comparison_notes(runs),
-        tracks=comparison.compared_tracks(runs),
+        tracks=tracks,
         event_grids=comparison.event_grids(runs),
         event_sentence=comparison.event_sentence(runs),
         grids=comparison.comparison_grids(runs),

@@ -77,9 +77,10 @@ def report(folders: Sequence[Path], out: Path | None = None, *, has_clips: bool 
         )
         for name, run in zip(short_names([run.folder for run in runs]), runs, strict=True)
     ]
-    write_comparison(page, compared)
-    tracks = [pair["grid"] for pair in compared_tracks(compared, has_pictures=False)]
-    grids = (*tracks, *event_grids(compared), *comparison_grids(compared), settings_grid(compared))
+    tracks = compared_tracks(compared)
+    write_comparison(page, compared, tracks)
+    compared_grids = (*event_grids(compared), *comparison_grids(compared), settings_grid(compared))
+    grids = (*(pair["grid"] for pair in tracks), *compared_grids)
     notes = tuple(comparison_notes(compared))
     return WrittenReport(page, tuple(grid for grid in grids if grid.rows), missing, notes, tuple(clips))
 

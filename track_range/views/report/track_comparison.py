@@ -5,7 +5,7 @@ deviations, sqrt(sigma_1^2 + sigma_2^2).
 """
 
 import base64
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from track_range.foundation.arrays import FloatArray
 from track_range.pipeline.colours import WHITE
 from track_range.ranging.evaluation.errors import match_boxes
 from track_range.results.approaches import closest_approaches, reference_distance
-from track_range.results.columns import Columns, boxes_px
+from track_range.results.columns import Columns, boxes_px, most_frequent
 from track_range.views.event_clips import frame_at
 from track_range.views.report.content.events import sigma_words, time_words
 from track_range.views.report.content.series import column
@@ -27,16 +27,16 @@ _MIN_SIGMA = 0.01  # smallest relative standard deviation, also where it is unkn
 _CROP_PX, _CROP_BOXES = np.array([200.0, 110.0]), 1.2  # from the middle of a box to the edge of its picture, at least
 
 
-def track_differences(first: Columns, second: Columns) -> list[dict[str, Any]]:
-    """Road users that both runs detect, the largest disagreement first; none for rows without boxes.
+def track_differences(first: Columns, second: Columns) -> tuple[list[dict[str, Any]], FloatArray]:
+    """Road users that both runs measure, the largest disagreement first, and track IDs (2, K) of all matched boxes.
 
-    Keys: `names` (class and identity in each run), `frames` (number of common ones), medians of second against first
-    `difference_pct` and `closing_mps` (NaN = unknown), and of the frame with the largest disagreement `sigmas`,
+    Keys: `names` (most frequent class and ID in each run), `frames` (number of common ones), medians of second against
+    first `difference_pct` and `closing_mps` (NaN = unknown), and of the frame with the largest disagreement `sigmas`,
     `time_s`, `words` (the two distances) and `boxes`.
     """
     runs = [_detected(run) for run in (first, second)]
     if not all(len(run.get("x1_px", ())) for run in runs):
-        return []
+        return [], np.empty((2, 0))
     boxes, frames = [boxes_px(run) for run in runs], [run["frame"].astype(np.int64) for run in runs]
     match = match_boxes(frames[0], boxes[0], frames[1], boxes[1])
     rows = np.stack([np.flatnonzero(match >= 0), match[match >= 0]])
@@ -45,16 +45,16 @@ def track_differences(first: Columns, second: Columns) -> list[dict[str, Any]]:
     ]
     m, sigma_m, closing_mps, ids = (np.stack([a[rows[0]], b[rows[1]]]) for a, b in zip(*known, strict=True))
     sigmas = np.abs(m[1] - m[0]) / np.hypot(*np.fmax(sigma_m, _MIN_SIGMA * m))
-    differences = []
-    for pair in np.unique(ids, axis=1).T:
+    differences, matched = [], np.unique(ids, axis=1)
+    for pair in matched.T:
         common = np.flatnonzero((ids == pair[:, None]).all(axis=0) & np.isfinite(sigmas))
         if len(common) >= _MIN_FRAMES:
             at = common[np.argmax(sigmas[common])]
-            places = list(zip(runs, rows[:, at].tolist(), strict=True))
+            classes = [most_frequent(run["class"][run["track_id"] == i]) for run, i in zip(runs, pair, strict=True)]
             gap_mps = np.diff(closing_mps[:, common], axis=0)
             differences.append(
                 {
-                    "names": [f"{run['class'][row]} {run['track_id'][row]:.0f}" for run, row in places],
+                    "names": [f"{name} {i:.0f}" for name, i in zip(classes, pair, strict=True)],
                     "frames": len(common),
                     "difference_pct": 100 * float(np.median(m[1, common] / m[0, common] - 1)),
                     "closing_mps": float(np.nanmedian(gap_mps)) if np.isfinite(gap_mps).any() else np.nan,
@@ -64,16 +64,16 @@ def track_differences(first: Columns, second: Columns) -> list[dict[str, Any]]:
                     "boxes": [boxes[i][rows[i, at]] for i in (0, 1)],
                 }
             )
-    return sorted(differences, key=lambda difference: -difference["sigmas"])
+    return sorted(differences, key=lambda difference: -difference["sigmas"]), matched
 
 
-def unmatched_names(run: Columns, matched: Sequence[str]) -> Iterator[str]:
-    """Road users of a run that are not among the matched ones, nearest first, with their smallest distances."""
+def unmatched_names(run: Columns, matched: FloatArray) -> Iterator[str]:
+    """Road users of a run without a matched box, nearest first, with their smallest distances."""
     rows = _detected(run)
     for user in closest_approaches(rows) if rows else ():
-        name = f"{user['class']} {user['track_id']}"
-        if name not in matched and user["min_distance_m"] is not None:
-            yield f"{name} ({user['min_distance_m']:.1f} m at {time_words(user['min_distance_m_at_s'])})"
+        if user["track_id"] not in matched and user["min_distance_m"] is not None:
+            nearest = f"{user['min_distance_m']:.1f} m at {time_words(user['min_distance_m_at_s'])}"
+            yield f"{user['class']} {user['track_id']} ({nearest})"
 
 
 def _detected(run: Columns) -> Columns:

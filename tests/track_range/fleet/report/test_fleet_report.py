@@ -188,6 +188,20 @@ def test_numbers_of_merged_notes():
     assert row["note"] == "a-1.mp4: bias -3.5 to +4.0 % of 'x 9', 75 degrees (2 to 12 cars)."
 
 
+@pytest.mark.parametrize(
+    ("first", "second", "merged"),
+    [
+        ("expected 2, found 1240.5.", "expected 3, found 'abc'.", "expected 2 to 3, found 1240.5."),
+        ("expected 2, found 'abc'.", "expected 3, found 1240.5.", "expected 2 to 3, found 'abc'."),
+        ("from 10:05:30, 4 times: 7.", "from 11:05:31, 5 times: 9.", "from 10:05:30, 4 to 5 times: 7 to 9."),
+    ],
+)
+def test_texts_and_clock_times_are_not_merged(first, second, merged):
+    table = pa.table({"clip": ["a", "b"], "warnings": [[first], [second]]})
+    (row,) = note_figures(ClipColumns(table))
+    assert (row["n"], row["note"]) == (2, merged)
+
+
 def test_short_fleets_have_no_rates(tmp_path, scratch):
     out = Location.of(tmp_path / "out")
     write_clip(out, record("a", seconds=9.8), _one_row(), scratch, [event()])

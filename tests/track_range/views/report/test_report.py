@@ -303,7 +303,7 @@ def test_comparison_page() -> None:
         ComparedRun(name="a", summary=summary(), settings={"size_px": 640}, link="a b/report.html"),
         ComparedRun(name="<b>", summary=summary(truth=None), settings={"size_px": 320}, notes=("gone",)),
     ]
-    page = Page(comparison_page(runs))
+    page = Page(comparison_page(runs, []))
     for words in ("Comparison of 2 runs", "a 16 8.2 3", "<b> gone", "size_px 640 320", "same kind of ground truth"):
         assert words in page.text
     assert page.addresses.count("a%20b/report.html") == 1
@@ -312,7 +312,7 @@ def test_comparison_page() -> None:
 
 def test_comparison_that_cannot_be_written(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match=r"c\.html: cannot be written"):
-        write_comparison(tmp_path / "missing" / "c.html", [ComparedRun(name="a", summary={}, settings={})])
+        write_comparison(tmp_path / "missing" / "c.html", [ComparedRun(name="a", summary={}, settings={})], [])
 
 
 def test_report_replaces_an_earlier_one(tmp_path: Path) -> None:

@@ -557,7 +557,7 @@ def test_several_runs_are_compared(page_of: Callable[..., Any], tmp_path: Path) 
     runs = [
         ComparedRun(name=name, summary=summary(), settings={}, link=f"{name}/report.html") for name in ("one", EVIL)
     ]
-    write_comparison(tmp_path / "comparison.html", runs)
+    write_comparison(tmp_path / "comparison.html", runs, [])
     page = page_of(tmp_path / "comparison.html")
     page.locator("#run-chart").scroll_into_view_if_needed()
     page.locator("#run-chart .chart svg svg path").first.wait_for(state="attached")

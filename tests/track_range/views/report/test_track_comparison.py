@@ -33,7 +33,8 @@ def farther(columns):
 def test_largest_disagreement_of_matched_tracks_comes_first():
     first = measured((1, 300.0), (2, 700.0), (3, 1100.0))
     second = farther(measured((8, 700.0), (9, 305.0), sigma_m=0.5))
-    two, one = track_differences(first, second)
+    (two, one), matched = track_differences(first, second)
+    assert matched.tolist() == [[1.0, 2.0], [9.0, 8.0]]
     assert (two["names"], one["names"]) == (["car 2", "car 8"], ["car 1", "car 9"])
     assert (two["frames"], two["time_s"]) == (40, 0.7)
     assert two["sigmas"] == pytest.approx(6 / np.hypot(1.0, 0.5))
@@ -43,10 +44,11 @@ def test_largest_disagreement_of_matched_tracks_comes_first():
 
 
 def test_medians_of_all_common_frames():
-    (one,) = track_differences(measured((1, 300.0)), measured((1, 300.0), factor=1.1))
+    (one,), _ = track_differences(measured((1, 300.0)), measured((1, 300.0), factor=1.1))
     assert (one["difference_pct"], one["closing_mps"]) == (pytest.approx(10.0), pytest.approx(0.2))
-    assert track_differences(measured((1, 300.0)), measured((1, 800.0))) == []
-    assert track_differences(measured((1, 300.0)), {}) == []
+    for other in (measured((1, 800.0)), {}):
+        differences, matched = track_differences(measured((1, 300.0)), other)
+        assert (differences, matched.shape) == ([], (2, 0))
 
 
 def test_road_users_of_one_run_are_named():
@@ -60,7 +62,22 @@ def test_road_users_of_one_run_are_named():
     assert pair["pictures"] == []  # no disagreement
     other = replace(runs[1], summary={"inputs": {"mono": "other/left.mp4"}})
     assert compared_tracks([runs[0], other]) == []
-    assert "no other run is of the same video" in comparison_page([runs[0], other])
+    assert "no other run is of the same video" in comparison_page([runs[0], other], [])
+
+
+def test_road_users_with_few_common_distances_are_in_both_runs():
+    """The second has two common distances; the first is a car in most frames, in some a truck."""
+    first, second = (measured((1, 300.0), (2, 700.0)) for _ in range(2))
+    second["class"] = np.where(np.arange(80) < 15, "truck", "car")
+    second["fused_m"][42:] = np.nan
+    second["fused_m"][5] += 6.0  # the largest disagreement is in a frame of the other class
+    runs = [
+        ComparedRun(name=name, summary={"inputs": INPUTS}, settings={}, rows=columns)
+        for name, columns in (("a", first), ("b", second))
+    ]
+    (pair,) = compared_tracks(runs)
+    assert pair["sentences"] == ["1 road user in both runs."]
+    assert [row[0].text for row in pair["grid"].rows] == ["car 1"]
 
 
 def test_pictures_of_disagreements(tmp_path):
@@ -70,7 +87,7 @@ def test_pictures_of_disagreements(tmp_path):
             writer.write(np.full((360, 640, 3), 10 * number, np.uint8), number / 10)
     first = ComparedRun(name="a", summary={"inputs": INPUTS}, settings={}, rows=measured((1, 300.0)), overlay=overlay)
     second = replace(first, name="b", rows=farther(measured((1, 300.0))), overlay=None)
-    page = comparison_page([first, second])
+    page = comparison_page([first, second], compared_tracks([first, second]))
     assert page.count('src="data:image/jpeg;base64,') == 1
     assert "b: 26.0 ±1.0 m (no overlay)" in page
     assert f"4.2 {SIGMA} apart" in page
