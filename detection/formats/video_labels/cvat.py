@@ -324,12 +324,11 @@ def _identities(table: BoxTable) -> tuple[IntArray, tuple[str, ...]]:
 
 
 def _meta_lines(table: BoxTable, frames: range) -> Iterator[str]:
-    video = table.video
+    video, size = table.video, max(frames.stop - frames.start, 0)
     yield f"  <meta>\n    <task>\n      <name>{_text(video.name or 'track-range')}</name>\n"
-    yield f"      <size>{max(frames.stop - frames.start, 0)}</size>\n      <mode>interpolation</mode>\n"
-    yield f"      <overlap>0</overlap>\n      <start_frame>{frames.start}</start_frame>\n"
-    yield f"      <stop_frame>{max(frames.stop - 1, 0)}</stop_frame>\n      <frame_filter></frame_filter>\n"
-    yield "      <labels>\n"
+    yield f"      <size>{size}</size>\n      <mode>interpolation</mode>\n      <overlap>0</overlap>\n"
+    yield f"      <start_frame>{frames.start}</start_frame>\n      <stop_frame>{max(frames.stop - 1, 0)}</stop_frame>\n"
+    yield "      <frame_filter></frame_filter>\n      <labels>\n"
     for name in table.all_labels:
         yield f"        <label>\n          <name>{_text(name)}</name>\n          <attributes>\n"
         for attribute, input_type, default in CVAT_ATTRIBUTES:

@@ -106,9 +106,7 @@ def export(settings: ExportSettings) -> Exported:
     if label_format is not None and label_format.write is not None:
         return _export_labels(settings, label_format, label_format.write, run, camera)
     if run is None:
-        raise UsageError(
-            f"--to {settings.to}: expected the result folder of a run, found labels, which lack the rows of a run."
-        )
+        raise UsageError(f"--to {settings.to}: expected the result folder of a run, found labels, which lack its rows.")
     return _export_rows(settings, run, camera)
 
 
@@ -121,9 +119,7 @@ def _check(settings: ExportSettings, run: RunFolder | None) -> None:
     if run is not None and (settings.video is not None or settings.first_frame):
         raise UsageError("--video and --first-frame: expected labels as input; a run has its video and frame numbers.")
     if settings.images and run is not None and run.settings.get("anonymize"):
-        raise UsageError(
-            "--images: this run was anonymized, but the images would show the video's frames without anonymization."
-        )
+        raise UsageError("--images: this run was anonymized, but the images would show the frames without it.")
     if settings.images and run is not None and run.summary.get("frames_dropped", run.settings.get("realtime")):
         raise UsageError("--images: expected a run of all frames, found one that dropped frames, which lack labels.")
     if settings.images and run is None and settings.video is None:
@@ -133,9 +129,7 @@ def _check(settings: ExportSettings, run: RunFolder | None) -> None:
     if os.path.realpath(out) in {os.path.realpath(path) for path in inputs}:
         raise OutputError(f"{out}: this input would be overwritten; choose another --out.")
     if is_locked(out.parent):
-        raise OutputError(
-            f"{out}: a run is writing to this folder; wait for its end, or choose an --out in another folder."
-        )
+        raise OutputError(f"{out}: a run is writing to this folder; wait for its end, or choose another folder.")
 
 
 def _export_labels(
@@ -201,7 +195,6 @@ def _export_rows(settings: ExportSettings, run: RunFolder, camera: PinholeCamera
     writer = create_writer(settings.to)
     check_replaceable(settings.out, settings.to)
     fps, poses = run.fps or DEFAULT_FPS, read_poses(run.folder)
-    video_fps = fps * every_of(run.settings)
     info = RunInfo(
         camera=camera,
         rig=None,
@@ -215,7 +208,9 @@ def _export_rows(settings: ExportSettings, run: RunFolder, camera: PinholeCamera
         folder = Path(temporary)
         writer.open(info, folder)
         try:
-            for result in frames_of_rows(columns, frames, methods_measured(columns), video_fps, poses):
+            for result in frames_of_rows(
+                columns, frames, methods_measured(columns), fps * every_of(run.settings), poses
+            ):
                 writer.write(result)
         finally:
             writer.close(run.summary)
@@ -261,19 +256,11 @@ def _replaced_folder(out: Path) -> Iterator[Path]:
 
 def check_replaceable(out: Path, name: str) -> None:
     """Check that an output does not exist, or has the format that replaces it; else OutputError."""
-    if not os.path.lexists(out):
-        return
-    if name == "yolo":
-        if not _is_written_folder(out):
-            raise OutputError(
-                f"{out}: expected a new or empty folder, or a folder that contains only an earlier export; choose "
-                "another --out."
-            )
-    elif not _has_format(out, name):
-        raise OutputError(
-            f"{out}: expected a new file, or a file in the format {name} to replace, found another format; choose "
-            "another --out."
-        )
+    if os.path.lexists(out) and not (_is_written_folder(out) if name == "yolo" else _has_format(out, name)):
+        expected = f"a new file, or a file in the format {name} to replace, found another format"
+        if name == "yolo":
+            expected = "a new or empty folder, or a folder that contains only an earlier export, found something else"
+        raise OutputError(f"{out}: expected {expected}; choose another --out.")
 
 
 def _is_written_folder(path: Path) -> bool:
