@@ -1,7 +1,5 @@
 """Entry point of `track-range` and of `python -m track_range`."""
 
-from __future__ import annotations
-
 import gc
 import sys
 

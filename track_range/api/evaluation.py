@@ -1,7 +1,5 @@
 """Evaluations as functions: options of `track-range evaluate` as keyword arguments, results as a dictionary."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

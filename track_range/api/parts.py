@@ -6,8 +6,6 @@ tracks = tracker.update(detector.detect(left), time_s=0.0, image=left)
 ranges = ranger.measure(tracks, tr.Frame(index=0, time_s=0.0, left=left, right=right))
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -7,8 +7,6 @@ left/ right/                 by name, else by the last number in the name, else 
 left.mp4 right.mp4           by time; a few frames per second are used
 """
 
-from __future__ import annotations
-
 import glob
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence

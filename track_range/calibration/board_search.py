@@ -4,8 +4,6 @@ Rejected are unreadable images, images without a complete board, images of anoth
 pixels is cropped) and blurred images. Of many views in a video, the most different ones are used.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Calibration of one camera or a pair from images of a board: rig file, residuals of the views, picture."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import math

@@ -1,7 +1,5 @@
 """Options of calibration, alignment and the evaluation of stereo matchers."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any
 

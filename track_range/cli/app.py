@@ -3,8 +3,6 @@
 Exit status: 0 = success, 1 = an unusable input or output, or a run stopped by the user, 2 = wrong usage.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import shlex

@@ -3,8 +3,6 @@
 A table wider than the terminal is split into parts below each other, so that no figure is broken over two lines.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Literal
 

@@ -4,8 +4,6 @@ guesses of the focal length (focal_sources) -> boxes and horizon of parts of the
 -> focal length from guesses and shapes (focal_evidence) -> all measurements together (camera_fit) -> rig.yaml
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from contextlib import closing

@@ -5,8 +5,6 @@ they meet, and from the direction of travel (epipole), which is parallel to the 
 command line: 'T_S,X1,Y1,X2,Y2=METRES', with the box of the object at the time T_S.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """`track-range align` and `track-range rig check`: measure the disparity error of a calibrated stereo pair."""
 
-from __future__ import annotations
-
 from functools import partial
 
 from track_range.calibration.align import RigAlignment, align, check_rig_health

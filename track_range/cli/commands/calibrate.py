@@ -1,7 +1,5 @@
 """`track-range calibrate`: calibrates a camera or a stereo pair from images of a board, or one camera from a drive."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from functools import partial
 

@@ -1,7 +1,5 @@
 """`track-range fit`: fits size curves to labels and compares them; measures the errors of a detector's boxes."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

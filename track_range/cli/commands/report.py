@@ -1,7 +1,5 @@
 """`track-range report`: rewrites reports from the folders of runs, and compares several runs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`track-range rig`: shows, checks and converts calibration files."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """`track-range simulate`: a stereo drive with exact ground truth, or labelled images to train detectors."""
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 from functools import partial
 

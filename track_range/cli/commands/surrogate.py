@@ -1,7 +1,5 @@
 """`track-range surrogate`: surrogate measures of safety of a run or a fleet, by class and road user."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any

@@ -1,7 +1,5 @@
 """`track-range track`: tracks recorded detections, without distances."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 

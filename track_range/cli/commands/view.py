@@ -1,7 +1,5 @@
 """`track-range view`: a finished run in the viewer of rerun."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """`track-range evaluate`: errors of tracks, distances, motion, events, detectors and stereo matchers against labels."""
 
-from __future__ import annotations
-
 from track_range.cli.lazy import Lazy, lazy_app
 
 app = lazy_app(

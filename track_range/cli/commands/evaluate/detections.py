@@ -1,7 +1,5 @@
 """`track-range evaluate detections`: accuracy, calibration and speed of detectors on labelled images."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`track-range evaluate events`: warnings against contacts, or events against labelled events."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from statistics import median
 from typing import Any

@@ -1,7 +1,5 @@
 """`track-range evaluate motion`: closing speed, speed over ground, time to collision, warnings on labelled drives."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """`track-range evaluate ranges`: distance errors of the ranging methods on labelled boxes."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any

@@ -1,7 +1,5 @@
 """Result files of evaluations, which are checked before one, and risk-coverage tables."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path

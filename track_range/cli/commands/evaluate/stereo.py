@@ -1,7 +1,5 @@
 """`track-range evaluate stereo`: distance errors of stereo matchers on pairs with true disparities."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any

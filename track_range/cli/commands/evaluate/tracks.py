@@ -1,7 +1,5 @@
 """`track-range evaluate tracks`: HOTA, CLEAR and identity metrics of tracks against ground truth."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

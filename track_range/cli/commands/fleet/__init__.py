@@ -1,7 +1,5 @@
 """`track-range fleet`: many recordings on the workers of a Ray cluster."""
 
-from __future__ import annotations
-
 from track_range.cli.lazy import Lazy, lazy_app
 
 app = lazy_app(

@@ -1,7 +1,5 @@
 """`track-range fleet report` and `status`: figures of all clips of a fleet, and its progress, from its output."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`track-range models`: list, download, inspect, import, quantize and calibrate detectors."""
 
-from __future__ import annotations
-
 from track_range.cli.lazy import Lazy, lazy_app
 
 app = lazy_app(

@@ -1,7 +1,5 @@
 """`track-range models calibrate-scores`: a copy of a detector whose scores are probabilities."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """`track-range models list`, `pull` and `import`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`track-range models info`: layout, input format, classes and origin of a detector."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path

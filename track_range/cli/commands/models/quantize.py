@@ -1,7 +1,5 @@
 """`track-range models quantize`: INT8 and FP16 copies of a detector, compared with the original."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Reading of images and fitting of anchors for `track-range train` and `track-range anchors`."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

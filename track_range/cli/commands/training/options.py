@@ -1,7 +1,5 @@
 """Options of `track-range train`, `track-range anchors` and `track-range pseudo-label`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Literal
 

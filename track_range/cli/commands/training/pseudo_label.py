@@ -1,7 +1,5 @@
 """`track-range pseudo-label`: labels the training images of a data set with an ensemble of detectors."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Training of a detector from labelled images to an ONNX file; imports PyTorch."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 
