@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import onnxruntime as ort
 
-from track_range.detection.models.dequantize import float_network
 from track_range.detection.models.devices import ACCELERATORS, Device
 from track_range.foundation.files.cache_folder import cache_folder
 from track_range.foundation.files.input_files import shortened
@@ -82,7 +81,11 @@ def _session(path: Path, devices: list[str], n_threads: int) -> Any:
     options.log_severity_level = 4  # failures are reported by our exceptions and notes
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.enable_mem_pattern = devices[0] != "directml"  # which does not support it
-    network = float_network(path) or str(path) if devices[0] in _IN_FLOAT else str(path)
+    network: bytes | str = str(path)
+    if devices[0] in _IN_FLOAT:
+        from track_range.detection.models.dequantize import float_network  # imports onnx, which takes 0.4 s
+
+        network = float_network(path) or network
     if devices[0] in ("cuda", "tensorrt"):
         _load_cuda()
     if plugin := _plugin_devices(devices[0]):

@@ -1,6 +1,7 @@
 """ONNX sessions: bound buffers, devices and their options, errors."""
 
 import os
+import subprocess
 import sys
 import types
 
@@ -262,6 +263,17 @@ def test_networks_of_int8_are_float_on_gpus(tmp_path, monkeypatch, cpu_session):
         helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8).SerializeToString()
     )
     assert float_network(path) is None
+
+
+def test_sessions_of_the_cpu_do_not_import_onnx(tmp_path):
+    """The import of onnx takes 0.4 s of each start."""
+    code = (
+        "import sys; from pathlib import Path; from track_range.detection.models.onnx_session import OnnxSession\n"
+        "OnnxSession(Path(sys.argv[1])); print('onnx' in sys.modules)"
+    )
+    path = write_model(tmp_path / "m.onnx", np.zeros((1, 2, 3)))
+    done = subprocess.run([sys.executable, "-c", code, path], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
 
 
 @pytest.mark.parametrize(("n_limited", "given", "n_threads"), [(0, 0, 0), (3, 0, 3), (3, 5, 5)])

@@ -232,8 +232,7 @@ def open_recording(
 
     def opened(name: VideoName, beside: Video | None = None) -> Video:
         if isinstance(name, LiveAddress):
-            # right frames are chosen by their partner
-            return LiveVideo(name, start_s=start_s, duration_s=duration_s, every=every if beside is None else 1)
+            return LiveVideo(name, start_s=start_s, duration_s=duration_s, every=every, is_partner=beside is not None)
         return recorded(name, left=beside if isinstance(beside, RecordedVideo) else None)
 
     with ExitStack() as on_error:

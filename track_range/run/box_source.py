@@ -131,9 +131,8 @@ def outside_regions(source: BoxSource, regions: str | None, calibration: Recordi
     if regions is None:
         return source
     detect, prepare = source.detect, source.prepare
-    area_px = cv2.integral(region_mask(regions, calibration.sizes_px[0])).astype(
-        np.int64
-    )  # (H + 1, W + 1), up to a pixel
+    mask = region_mask(regions, calibration.sizes_px[0])
+    area_px = cv2.integral(mask).astype(np.int64)  # (H + 1, W + 1) of the regions up to a pixel
 
     def outside(detections: Detections) -> Detections:
         recorded_px = calibration.rectifier.recorded_boxes(detections.xyxy_px)

@@ -108,7 +108,8 @@ class Findings:
 def still_boxes_note(columns: Columns, calibration: RecordingCalibration) -> tuple[str, ...]:
     """A note that proposes `--ignore` for tracks that do not move in the image while the car drives.
 
-    They are at the upper or lower edge, where a vehicle ahead at a constant distance is not; the pitch moves that too.
+    They are at the upper or lower edge of the image, where no vehicle ahead stays; the camera's pitch moves such a
+    vehicle in the image, too.
     """
     width, height = calibration.sizes_px[0]
     rows = np.flatnonzero((columns["ego_mps"] >= _STILL_SPEED_MPS) & (columns["observed"] > 0))
@@ -125,9 +126,10 @@ def still_boxes_note(columns: Columns, calibration: RecordingCalibration) -> tup
         return ()
     corners = np.rint(mean[still]).astype(int)
     polygons = " / ".join(f"{x1},{y1} {x2},{y1} {x2},{y2} {x1},{y2}" for x1, y1, x2, y2 in corners)
+    names = f"Track{'s' * (len(still) > 1)} {', '.join(f'{name:g}' for name in track[still])}"
     return (
-        f"Track {', '.join(f'{name:g}' for name in track[still])} did not move in the image while the car drove. If it "
-        f"is the bonnet, or text in the image, drop its boxes with --ignore '{polygons}' (Python ignore).",
+        f"{names} did not move in the image while the car drove. If this is the bonnet, or text in the image, drop the "
+        f"boxes with --ignore '{polygons}' (Python ignore).",
     )
 
 

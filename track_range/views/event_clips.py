@@ -33,7 +33,7 @@ from track_range.views.overlay.result_video import QUANTIZER
 from track_range.views.video_writer import VideoWriter
 
 BEFORE_S, AFTER_S = 3.0, 2.0  # time before the start and after the end of an event that its clip shows, s
-_HALF_TICK_S = 1e-3  # tolerance of the time of a frame
+_TIME_TOLERANCE_S = 1e-3  # of the time of a frame
 MAX_CLIP_S = 30.0  # of a clip; that of a longer event has two thirds before the peak
 
 
@@ -119,7 +119,7 @@ def cut_clip(video: Path, path: Path, start_s: float, end_s: float) -> bool:
 def frame_at(video: Path, time_s: float) -> Image | None:
     """The frame at a time of a `VideoWriter`'s video, from its first frame; None = there is none to be read."""
     with suppress(VideoError, av.FFmpegError), _opened(video) as (container, stream):
-        tick = max(round((time_s - _HALF_TICK_S) / (stream.time_base or Fraction(1))), 0)
+        tick = max(round((time_s - _TIME_TOLERANCE_S) / (stream.time_base or Fraction(1))), 0)
         container.seek(tick, stream=stream)
         for frame in container.decode(stream):
             if (frame.pts or 0) >= tick:

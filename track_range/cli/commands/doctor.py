@@ -40,11 +40,8 @@ ENCODERS = ("libx264",)  # those that track-range needs
 DECODERS = ("h264", "hevc", "av1", "vp9", "mpeg4", "mjpeg")  # of common videos; a run needs only that of its input
 MIN_FREE_BYTES = 500_000_000  # results of an hour of 1242x375 px take about this much
 MIN_TRACKS, MAX_MEDIAN_ERROR_PCT = 2, 5.0  # the short run finds 4 tracks with a median error of 0.3 %
-N_TIMED, CLEAR_SCORE, MAX_DIFFERENCES = (
-    7,
-    0.5,
-    (3.0, 0.1),
-)  # of devices; px and score: INT8 and float differ by 1.5, 0.05
+N_TIMED, CLEAR_SCORE = 7, 0.5  # runs of a device that are timed, and minimum score of the boxes that are compared
+MAX_DIFFERENCES = 3.0, 0.1  # of a device's boxes in px and score: INT8 and float differ by 1.5 and 0.05
 OK, _NOT_INSTALLED = "ok", "not installed"
 _EXTRA = re.compile(r"^([\w.-]+).*extra\s*==\s*['\"]([\w-]+)['\"]")
 

@@ -193,7 +193,7 @@ def failure_figures(failed: ClipColumns) -> list[Figures]:
 
 def _pattern(text: str) -> str:
     """A text in which numbers and quoted names are replaced."""
-    return _VARIABLE.sub("#", text)
+    return _VARIABLE.sub("\0", text)
 
 
 def _merged(texts: Sequence[str]) -> str:

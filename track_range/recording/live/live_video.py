@@ -68,7 +68,7 @@ class LiveVideo:
     """An open camera or stream, read once: the iteration starts with the newest frame and closes the connection.
 
     The part to read begins after `start_s` and lasts `duration_s`; None = until the stream ends or the run is stopped.
-    Of `every` N, each N-th frame is used.
+    Each `every`-th frame is used; of a right camera (`is_partner`), the frame that fits each of the left one's.
 
     `n_received` frames were decoded so far, `n_taken` passed to the consumer; `ended_by` is FFmpeg's message if the
     connection was lost, `has_ended` whether the source ended the stream normally. Attributes that are not described
@@ -85,9 +85,15 @@ class LiveVideo:
     stated_layout: StereoLayout | None = None
 
     def __init__(
-        self, address: LiveAddress, *, start_s: float = 0.0, duration_s: float | None = None, every: int = 1
+        self,
+        address: LiveAddress,
+        *,
+        start_s: float = 0.0,
+        duration_s: float | None = None,
+        every: int = 1,
+        is_partner: bool = False,
     ) -> None:
-        self.path, self._every = address, every
+        self.path, self._every, self._is_partner = address, every, is_partner
         self._start_s, self._duration_s = start_s, math.inf if duration_s is None else duration_s
         self.clock = StreamClock()
         self.n_received = self.n_taken = 0
@@ -244,7 +250,7 @@ class LiveVideo:
         stamp_s = None if frame.pts is None or frame.time_base is None else float(frame.pts * frame.time_base)
         index, self.n_received = self.n_received, self.n_received + 1
         time_s = self.clock.time_s(stamp_s, time.monotonic())
-        if time_s is None or frame.is_corrupt or index % self._every:
+        if time_s is None or frame.is_corrupt or (index % self._every and not self._is_partner):
             return
         with self._lock:
             self._waiting.append((index, time_s, frame))

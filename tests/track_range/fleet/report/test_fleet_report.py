@@ -202,6 +202,11 @@ def test_texts_and_clock_times_are_not_merged(first, second, merged):
     assert (row["n"], row["note"]) == (2, merged)
 
 
+def test_notes_of_different_patterns_are_separate():
+    table = pa.table({"clip": ["a", "b"], "warnings": [["track # is lost."], ["track 5 is lost."]]})
+    assert [row["n"] for row in note_figures(ClipColumns(table))] == [1, 1]
+
+
 def test_short_fleets_have_no_rates(tmp_path, scratch):
     out = Location.of(tmp_path / "out")
     write_clip(out, record("a", seconds=9.8), _one_row(), scratch, [event()])
