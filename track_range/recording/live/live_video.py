@@ -134,7 +134,7 @@ class LiveVideo:
         """Messages for the user; empty until the reading has ended."""
         if not self.is_closed:
             return ()
-        n_dropped = -(-self.n_received // self._every) - self.n_taken
+        n_dropped = max(-(-self.n_received // self._every) - self.n_taken, 0)
         received, notes = counted(self.n_received, "frame"), []
         if self.has_ended:
             notes.append(f"{self.path}: the source ended the stream after {received}.")
