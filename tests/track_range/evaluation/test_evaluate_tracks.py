@@ -177,8 +177,12 @@ def test_motmetrics_on_mot17(shared_data, tmp_path, cli):
     status, _, errors = cli(*arguments, "--compare", "motmetrics")
     assert status == 0, errors
     read = json.loads(figures.read_text())
-    for name in ("mota", "motp", "idf1", "idsw", "fp", "fn", "mt", "ml"):
-        assert read["motmetrics"]["combined"][name] == pytest.approx(read["combined"][name]), name
+    reference, combined = read["motmetrics"]["combined"], read["combined"]
+    for name in ("mota", "motp", "idf1", "idsw", "fp", "fn", "ml"):
+        assert reference[name] == pytest.approx(combined[name]), name
+    at_80_per_cent = reference["mt"] - combined["mt"]  # motmetrics counts them as mostly tracked (REASONS)
+    assert 0 <= at_80_per_cent <= 2
+    assert combined["pt"] - reference["pt"] == at_80_per_cent
 
 
 def evaluated(cli, tmp_path, truth, results, *options):
