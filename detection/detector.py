@@ -8,7 +8,7 @@ from track_range.detection.boxes import iou, survivors
 from track_range.detection.classes import SAME_OBJECT_GROUP
 from track_range.detection.detections import Detections
 from track_range.foundation.arrays import Image
-from track_range.foundation.errors import UserError
+from track_range.foundation.errors import UserError, named_errors
 
 MAX_IOU = 0.5  # of two boxes of classes that are easily confused; above it they are one object
 
@@ -27,15 +27,12 @@ class ObjectDetector(Protocol):
 def checked_detections(detector: ObjectDetector, image: Image, frame_index: int) -> Detections:
     """The detections of a detector of another package in the image of a frame.
 
-    Raises:
-        DetectorError: the detector does not return `Detections`, or raises ValueError, as `Detections` does for invalid
-        values.
+    DetectorError: the detector does not return `Detections`, or raises an exception, as `Detections` does for invalid
+    values.
     """
     where = f"{type(detector).__module__}:{type(detector).__qualname__}, frame {frame_index}"
-    try:
+    with named_errors(type(detector).__module__, where, DetectorError):
         result: Any = detector.detect(image)
-    except ValueError as error:
-        raise DetectorError(f"{where}: {str(error).rstrip('.')}.") from error
     if not isinstance(result, Detections):
         raise DetectorError(f"{where}: expected detect() to return Detections, got {type(result).__name__}.")
     return without_confused(result)

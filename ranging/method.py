@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import re
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
@@ -191,8 +192,7 @@ class RangingMethod:
         colour: "#rrggbb" in charts and in the overlay.
         create: creates the method's `Ranger` for a run, or returns None if the run does not support the method.
         needs: required inputs; `create` is called only if the run has all of them.
-        reads: methods whose ranges this method uses if they are available; they measure a frame first. Names of
-            methods that are not installed are ignored.
+        reads: names of methods whose ranges this method uses if they are part of the run; they measure a frame first.
         error_sources: the contributions to its variance; their fractions sum to 1.
         fallback_for: name of a method that supersedes this one: fusion uses this method only for tracks that the other
         method has not measured, since it shares nearly all errors of the other method or is calibrated by it.
@@ -258,11 +258,13 @@ class RangingMethod:
         return math.sqrt(sum(source.independent for source in self.error_sources))
 
 
-def checked_ranges(method: str, ranges: Any, tracks: Tracks) -> Ranges:
+def checked_ranges(
+    method: str, ranges: Any, tracks: Tracks, n_invalid: Counter[tuple[str, str]] | None = None
+) -> Ranges:
     """Ranges of the tracks as a ranger of this method returned them, for fusion and filters.
 
-    A track with a distance or sigma that is not finite and positive counts as not measured: both become NaN. Raises
-    MethodError: `ranges` is not a `Ranges`, or has other tracks.
+    A track with a distance or sigma that is not finite and positive counts as not measured: both become NaN, and
+    `n_invalid` by method and column rises. Raises MethodError: `ranges` is not a `Ranges`, or has other tracks.
     """
     if not isinstance(ranges, Ranges):
         raise MethodError(f"ranging method {method!r}: expected Ranges, got {type(ranges).__name__}")
@@ -271,11 +273,17 @@ def checked_ranges(method: str, ranges: Any, tracks: Tracks) -> Ranges:
     if not np.array_equal(ranges.track_id, tracks.track_id):
         raise MethodError(f"ranging method {method!r}: expected the track_id of the tracks in the same order")
     distance_m, sigma_m, systematic_m = ranges.distance_m, ranges.sigma_m, ranges.sigma_systematic_m
-    is_measured = (distance_m > 0) & (distance_m < np.inf) & (sigma_m > 0) & (sigma_m < np.inf)
+    is_measured, is_given = (distance_m > 0) & (distance_m < np.inf), ~np.isnan(distance_m)
+    is_valid = {"distance_m": is_measured, "sigma_m": (sigma_m > 0) & (sigma_m < np.inf)}
     if systematic_m is not None:
-        is_measured &= (systematic_m >= 0) & (systematic_m < np.inf)
-    if np.all(is_measured | (np.isnan(distance_m) & np.isnan(sigma_m))):
+        is_valid["sigma_systematic_m"] = (systematic_m >= 0) & (systematic_m < np.inf)
+    is_measured = np.all(list(is_valid.values()), axis=0)
+    if np.all(is_measured | ~is_given & np.isnan(sigma_m)):
         return ranges
+    if n_invalid is not None:
+        for column, valid in is_valid.items():
+            n_invalid[method, column] += int((is_given & ~valid).sum())
+            is_given &= valid
     return replace(
         ranges,
         distance_m=np.where(is_measured, distance_m, np.nan),

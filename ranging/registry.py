@@ -12,6 +12,7 @@ from functools import cache
 from importlib.metadata import EntryPoint
 from types import MappingProxyType
 
+from track_range.foundation.errors import named_errors
 from track_range.foundation.registry import Registry, imported
 from track_range.ranging.method import MethodContext, MethodError, Ranger, RangingMethod
 
@@ -39,9 +40,19 @@ def method_notes() -> tuple[str, ...]:
     return _installed()[1]
 
 
+def origins() -> dict[str, str]:
+    """Where the methods that are not built in come from, by name: the entry point, or the function that creates it."""
+    created_by = {name: method.create for name, method in METHODS.registered.items()}
+    made = {name: f"{make.__module__}:{getattr(make, '__qualname__', '')}" for name, make in created_by.items()}
+    return _installed()[2] | made
+
+
 def register(method: RangingMethod) -> None:
-    """Add a method for the lifetime of the process. Raises MethodError: another method has its name or its letter."""
-    _check_unique(method, methods())
+    """Add a method for the lifetime of the process.
+
+    Raises MethodError: another method has its name or its letter, or it names a method that does not exist.
+    """
+    _check(method, methods())
     METHODS.registered[method.name] = method
 
 
@@ -67,24 +78,28 @@ def create_rangers(context: MethodContext, listed: Sequence[RangingMethod] | Non
     rangers: dict[str, Ranger] = {}
     for method in in_measuring_order(methods() if listed is None else listed):
         if method.needs <= context.available:
-            ranger = method.create(replace(context, rangers=MappingProxyType(rangers)))
+            with named_errors(method.create.__module__, f"ranging method {method.name!r}", MethodError):
+                ranger = method.create(replace(context, rangers=MappingProxyType(rangers)))
             if ranger is not None:
                 rangers[method.name] = ranger
     return rangers
 
 
 @cache
-def _installed() -> tuple[tuple[RangingMethod, ...], tuple[str, ...]]:
+def _installed() -> tuple[tuple[RangingMethod, ...], tuple[str, ...], dict[str, str]]:
+    """All methods but the registered ones, notes on entry points, and the origins of the methods of entry points."""
     installed = [imported(method) for method in METHODS.built_in.values()]
-    notes = []
+    notes, origins = [], dict[str, str]()
     for entry in METHODS.installed:
         try:
             method = _loaded(entry)
-            _check_unique(method, installed)
+            _check(method, installed, tuple(other.name for other in METHODS.installed))
             installed.append(method)
+            package = "" if entry.dist is None else f" ({entry.dist.name} {entry.dist.version})"
+            origins[method.name] = f"{entry.value}{package}"
         except MethodError as error:
             notes.append(f"Entry point {entry.name} = {entry.value} cannot be used: {error}.")
-    return tuple(installed), tuple(notes)
+    return tuple(installed), tuple(notes), origins
 
 
 def _loaded(entry: EntryPoint) -> RangingMethod:
@@ -97,7 +112,14 @@ def _loaded(entry: EntryPoint) -> RangingMethod:
     return method
 
 
-def _check_unique(method: RangingMethod, others: Sequence[RangingMethod]) -> None:
+def _check(method: RangingMethod, others: Sequence[RangingMethod], pending: Sequence[str] = ()) -> None:
+    """MethodError: the method has the name or letter of another one, or names one that is not `pending` either."""
+    known = [*(other.name for other in others), *pending]
+    if unknown := [name for name in (*method.reads, method.fallback_for) if name is not None and name not in known]:
+        raise MethodError(
+            f"ranging method {method.name!r}: expected reads and fallback_for among {', '.join(known)}, which are "
+            f"registered before, got {unknown[0]!r}"
+        )
     for other in others:
         if method.name == other.name or method.letter == other.letter:
             raise MethodError(

@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from track_range.ranging.fusion.fusion import Fusion as Fusion
     from track_range.ranging.method import (
         ErrorSource as ErrorSource,
+        MethodContext as MethodContext,
         MethodError as MethodError,
         Ranger as Ranger,
         RangingMethod as RangingMethod,
@@ -121,7 +122,7 @@ _NAMES = {
     "detection.evaluation.object_sizes": "evaluate_detections_by_size=evaluate_by_size",
     "detection.evaluation.score_calibration": "evaluate_score_calibration=evaluate_calibration",
     "views.report.page": "write_report",
-    "ranging.method": "Ranger RangingMethod ErrorSource MethodError",
+    "ranging.method": "Ranger RangingMethod MethodContext ErrorSource MethodError",
     "ranging.registry": "ranging_methods=methods register_method=register",
     "tracking.registry": "register_tracker TrackerError",
     "results.writers": "register_writer WriterError",

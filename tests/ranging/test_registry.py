@@ -53,6 +53,14 @@ def test_registered_is_limited_to_the_block():
     assert "radar" not in names(registry.methods())
 
 
+@pytest.mark.parametrize("change", [{"fallback_for": "monoo"}, {"reads": ("mono", "monoo")}])
+def test_unknown_names_of_methods_are_refused(change):
+    with pytest.raises(MethodError, match=r"'radar': .* among mono, ground, lane, .* got 'monoo'"):
+        registry.register(replace(RADAR, **change))
+    with registered_method(replace(RADAR, fallback_for="stereo", reads=("mono",))):
+        assert registry.origins() == {"radar": "tests.ranging.test_registry:<lambda>"}
+
+
 def test_measuring_order_follows_reads():
     first, second = replace(RADAR, name="a", reads=("b", "absent")), replace(RADAR, name="b")
     assert names(registry.in_measuring_order([first, second])) == ["b", "a"]
@@ -116,6 +124,8 @@ def test_entry_points(install, monkeypatch, tmp_path):
         "from track_range.ranging.methods.size_regression import MONO\n"
         "RADAR = replace(MONO, name='radar', letter='R')\n"
         "WORD = 'radar'\n"
+        "LATER = replace(MONO, name='sonar', letter='N', fallback_for='twice')\n"
+        "TYPO = replace(MONO, name='lidar', letter='D', fallback_for='radio')\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
     targets = {
@@ -124,9 +134,12 @@ def test_entry_points(install, monkeypatch, tmp_path):
         "other": "radar_package:WORD",
         "unknown": "no_such_package_of_radars:RADAR",
         "twice": "radar_package:RADAR",
+        "later": "radar_package:LATER",
+        "typo": "radar_package:TYPO",
     }
     install("track_range.ranging_methods", **targets)
-    assert names(registry.methods())[6:] == ["radar"]
+    assert names(registry.methods())[6:] == ["radar", "sonar"]
+    assert registry.origins()["radar"] == "radar_package:RADAR (package0 1.0)"
     notes = registry.method_notes()
-    assert [note.split()[2] for note in notes] == ["absent", "other", "twice", "unknown"]
+    assert [note.split()[2] for note in notes] == ["absent", "other", "twice", "typo", "unknown"]
     assert all("\n" not in note for note in notes)

@@ -3,13 +3,17 @@
 import csv
 import json
 import re
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from tests.toys.registrations import registered_method
-from tests.toys.toy_method import TOY
+from tests.toys.toy_method import TOY, BoxWidthRanger
 from tests.track_range.conftest import write_film
 from tests.track_range.views.overlay_results import BOX, result
+from track_range.foundation.errors import UserError
+from track_range.foundation.files.structured_text import read_yaml
 from track_range.pipeline.colours import colour_of_each
 from track_range.ranging.evaluation.box_methods import method_names
 from track_range.views.overlay.labels import corner_lines, label_lines
@@ -26,11 +30,12 @@ def toy():
 @pytest.fixture
 def run_folder(tmp_path, cli):
     """Runs on a film of eight frames with a box in each."""
-    video, boxes, out = tmp_path / "film.mp4", tmp_path / "boxes.txt", tmp_path / "out"
+    video, boxes = tmp_path / "film.mp4", tmp_path / "boxes.txt"
     write_film(video, [0.1 * i for i in range(8)])
     boxes.write_text("".join(f"{i},10,4,40,47,0.9\n" for i in range(8)))
 
-    def run():
+    def run(expected=0, name="out"):
+        out = tmp_path / name
         arguments = (
             "--mono",
             video,
@@ -45,8 +50,8 @@ def run_folder(tmp_path, cli):
             out,
         )
         status, printed, complaint = cli(*arguments)
-        assert status == 0, complaint
-        return out, printed
+        assert status == expected, complaint
+        return out, complaint if expected else printed
 
     return run
 
@@ -102,6 +107,49 @@ def test_toy_method_is_gone_without_its_registration(run_folder):
     out, _ = run_folder()
     assert "toy" not in (out / "tracks.csv").read_text()
     assert "toy" not in json.loads((out / "summary.json").read_text())["methods"]
+
+
+class Failing(BoxWidthRanger):
+    """Its standard deviation is invalid in frames 1 to 3; it fails in frame 5, and at the end."""
+
+    def measure(self, tracks, frame):
+        ranges = super().measure(tracks, frame)
+        sigma_m = {1: np.nan, 2: 0.0, 3: np.inf}.get(frame.index, 1.0)
+        sigma_m /= 5 - frame.index
+        return replace(ranges, sigma_m=np.full(len(tracks), sigma_m))
+
+    def summary(self):
+        return {"toy": self.missing}
+
+
+def test_method_that_fails_is_named_and_the_frames_before_it_are_kept(run_folder):
+    with registered_method(replace(TOY, create=lambda context: Failing(context.camera))):
+        out, complaint = run_folder(1)
+    assert re.search(r"ranging method 'toy', frame 5: ZeroDivisionError: .*line \d+ of test_toy_method.py", complaint)
+    assert "Traceback" not in complaint
+    rows = list(csv.DictReader((out / "tracks.csv").read_text().splitlines()))
+    assert [row["frame"] for row in rows if row["toy_m"]] == ["0", "4"]
+    assert rows[-1]["frame"] == "4"
+    notes = json.loads((out / "summary.json").read_text())["notes"]
+    assert [note for note in notes if note.startswith("Ranging method 'toy': 3 values ") and "(sigma_m in 3)" in note]
+    assert [note for note in notes if note.startswith("ranging method 'toy', end of the run: AttributeError: ")]
+
+
+def test_settings_name_the_methods_of_others(run_folder, cli):
+    plain, _ = run_folder()
+    with registered_method(TOY):
+        out, _ = run_folder(name="with")
+        assert cli("--settings", out / "settings.yaml", "--out", out.parent / "again")[0] == 0
+    documents = [read_yaml(folder / "settings.yaml", UserError, "settings") for folder in (plain, out)]
+    assert "methods" not in documents[0]
+    assert documents[1]["methods"] == {"toy": "tests.toys.toy_method:<lambda>"}
+    assert documents[0]["settings_hash"] != documents[1]["settings_hash"]
+    hashes = [json.loads((folder / "summary.json").read_text())["settings_hash"] for folder in (plain, out)]
+    assert hashes == [document["settings_hash"] for document in documents]
+    status, _, complaint = cli("--settings", out / "settings.yaml")
+    assert status == 1
+    assert "'toy'" in complaint
+    assert "'methods'" in complaint
 
 
 def test_toy_method_on_labelled_boxes(toy):

@@ -6,7 +6,9 @@ program and keeps its traceback.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import traceback
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from typing import ClassVar
 
 
@@ -28,6 +30,26 @@ class UsageError(ConfigError):
 
 class RunStoppedError(UserError):
     """The user stopped a run early with Ctrl-C or SIGTERM; the results of the finished frames are kept."""
+
+
+@contextmanager
+def named_errors(module: str, name: str, kind: type[UserError]) -> Iterator[None]:
+    """Context that turns exceptions of a user's code in `module` into `kind`, with its name, the cause and the line.
+
+    UserErrors, and all exceptions of our own modules, are raised as they are.
+    """
+    try:
+        yield
+    except Exception as error:
+        if isinstance(error, UserError) or module.startswith("track_range."):
+            raise
+        lines = [
+            f" (line {line} of {frame.f_code.co_filename.rpartition('/')[2]})"
+            for frame, line in traceback.walk_tb(error.__traceback__)
+            if frame.f_globals.get("__name__") == module
+        ]
+        cause = f"{type(error).__name__}: {str(error).rstrip('.')}".removesuffix(": ")
+        raise kind(f"{name}: {cause}{lines[-1] if lines else ''}.") from error
 
 
 def call_all(steps: Iterable[Callable[[], object]]) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from track_range.foundation.errors import named_errors
 from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.stages import Detected, DetectionStage, EgoStage, FusionStage, RangingStage
 from track_range.pipeline.throughput import StageClock
@@ -21,7 +22,7 @@ from track_range.ranging.world.object_motion import ObjectMotions
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.odometry.ego_motion import EgoMotion
-from track_range.tracking.registry import ObjectTracker, checked_tracks
+from track_range.tracking.registry import ObjectTracker, TrackerError, checked_tracks
 
 _GIVEN_SPEED: frozenset[Cause] = frozenset({"speed"})
 _OF_ODOMETRY: frozenset[Cause] = frozenset({"baseline", "focal length", "camera height"})
@@ -74,7 +75,8 @@ class FramePipeline:
         """
         frame, lanes, detections, candidates = detected
         clock = self.clock
-        with clock.stage("track"):
+        tracker = f"{type(self.tracker).__module__}:{type(self.tracker).__qualname__}, frame {frame.index}"
+        with clock.stage("track"), named_errors(type(self.tracker).__module__, tracker, TrackerError):
             tracks = checked_tracks(self.tracker, self.tracker.update(detections, frame.time_s, frame.left))
         ego = self.ego.update(frame, detections.xyxy_px, clock, known_ego)
         ranges, evidence = self.ranging.measure(tracks, frame, lanes, ego, self.scale, clock)

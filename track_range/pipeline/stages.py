@@ -7,23 +7,25 @@ from __future__ import annotations
 
 import math
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from track_range.detection.detections import Detections
 from track_range.detection.lanes.lines import LaneFinder, LaneLines
 from track_range.foundation.arrays import FloatArray, FloatArray32
+from track_range.foundation.errors import named_errors
 from track_range.pipeline.throughput import StageClock
 from track_range.ranging.filtering.cut_boxes import CutBoxes
 from track_range.ranging.filtering.distance_filter import DistanceFilters, FilteredRanges
 from track_range.ranging.filtering.lateral_motion import LateralFilters, LateralMotion
 from track_range.ranging.fusion.fusion import Fusion, ScaleSource
-from track_range.ranging.method import Ranger, checked_ranges
+from track_range.ranging.method import MethodError, Ranger, checked_ranges
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import methods
 from track_range.ranging.size_models.drive_scale import DriveScale, ScaleEvidence
@@ -38,6 +40,7 @@ from track_range.stereo.odometry.image_motion import ImageMotionEstimator
 from track_range.stereo.odometry.road_horizon import RoadView
 from track_range.tracking.tracks import Tracks
 
+_T = TypeVar("_T")
 _LANE_INTERVAL_S = 0.09  # between two detections of lane lines, which change slowly and are expensive to detect
 _ACROSS_MPS, _ACROSS_SIGMA = 1.0, 3.0  # lateral speed, and standard deviations of it, above which an object moves
 _TURN_ERROR = 0.2  # error of the lateral speed relative to w z in turns, from the error of the distance z
@@ -170,24 +173,27 @@ class RangingStage:
         default_factory=lambda: {method.name: method.reads for method in methods()}
     )
     _lanes: LaneLines | None = None
+    _n_invalid: Counter[tuple[str, str]] = field(default_factory=Counter)  # values by method and invalid column
+    _failures: dict[str, None] = field(default_factory=dict)  # messages of methods that failed at the end
 
     def start(self, frame: Frame) -> None:
         """Start the methods that work in the background, before the tracks are known."""
-        for ranger in self.rangers.values():
-            ranger.start(frame)
+        for name, ranger in self.rangers.items():
+            with _named(name, ranger, f", frame {frame.index}"):
+                ranger.start(frame)
 
     def measure(
         self, tracks: Tracks, frame: Frame, lanes: LaneLines | None, ego: Ego, scale: DriveScale, clock: StageClock
     ) -> tuple[dict[str, Ranges], list[ScaleEvidence]]:
         """Distances of the tracks by method, and the evidence of the methods about the scale of the drive.
 
-        Raises MethodError if a ranger of another package did not return ranges of these tracks.
+        Raises MethodError if a ranger of another package failed, or did not return ranges of these tracks.
         """
         ranges: dict[str, Ranges] = {}
         evidence: list[ScaleEvidence] = []
         for name, ranger in self.rangers.items():
             others = {other: ranges[other] for other in self._reads.get(name, ()) if other in ranges}
-            with clock.stage(name):
+            with clock.stage(name), _named(name, ranger, f", frame {frame.index}"):
                 if ego.road is not None:
                     ranger.update_road(ego.road)
                 if ego.step is not None:
@@ -195,7 +201,7 @@ class RangingStage:
                 if lanes is not None and lanes is not self._lanes:
                     ranger.update_lanes(lanes)
                 measured = ranger.measure_at_scale(tracks, frame, others, scale)
-                ranges[name] = checked_ranges(name, measured.ranges, tracks)
+                ranges[name] = checked_ranges(name, measured.ranges, tracks, self._n_invalid)
             if measured.evidence is not None:
                 evidence.append(measured.evidence)
         self._lanes = lanes
@@ -207,18 +213,42 @@ class RangingStage:
         return next((ranger.disparity for ranger in self.rangers.values() if ranger.disparity is not None), None)
 
     def notes(self) -> tuple[str, ...]:
-        """Notes of the methods for the user, at the end."""
-        return tuple(note for ranger in self.rangers.values() for note in ranger.notes)
+        """Notes of the methods for the user, at the end, and on values and methods that are invalid."""
+        notes = [note for of_method in self._answers(lambda ranger: ranger.notes) for note in of_method]
+        for name in self.rangers:
+            counts = {column: n for (method, column), n in self._n_invalid.items() if method == name and n}
+            if counts:
+                reasons = ", ".join(f"{column} in {n}" for column, n in counts.items())
+                left_out = f"{sum(counts.values())} values were left out, since they are not positive and finite"
+                notes.append(f"Ranging method {name!r}: {left_out} ({reasons}).")
+        return (*notes, *self._failures)
 
     def summary(self) -> dict[str, Any]:
         """Entries of the methods for summary.json."""
-        return {key: value for ranger in self.rangers.values() for key, value in ranger.summary().items()}
+        answers = self._answers(lambda ranger: ranger.summary())
+        return {key: value for entries in answers for key, value in entries.items()}
+
+    def _answers(self, ask: Callable[[Ranger], _T]) -> list[_T]:
+        """The answers of the methods at the end, without the methods that fail then: the distances are complete."""
+        answers = []
+        for name, ranger in self.rangers.items():
+            try:
+                with _named(name, ranger, ", end of the run"):
+                    answers.append(ask(ranger))
+            except MethodError as error:
+                self._failures.setdefault(str(error))
+        return answers
 
     def close(self, clock: StageClock) -> None:
         """End the methods' threads, and add their time to the clock."""
         for name, ranger in self.rangers.items():
-            ranger.close()
+            with _named(name, ranger, ", end of the run"):
+                ranger.close()
             clock.add(name, ranger.background_s)
+
+
+def _named(name: str, ranger: Ranger, where: str) -> AbstractContextManager[None]:
+    return named_errors(type(ranger).__module__, f"ranging method {name!r}{where}", MethodError)
 
 
 class FusionStage:

@@ -64,12 +64,13 @@ class Provenance:
         return {f"{METADATA_PREFIX}{key}": value for key, value in values.items()}
 
 
-def settings_hash(run: Mapping[str, Any]) -> str:
-    """SHA-256 of section `run` of a settings.yaml in canonical JSON, without the settings of the output files.
+def settings_hash(run: Mapping[str, Any], methods: Mapping[str, str] | None = None) -> str:
+    """SHA-256 of sections `run` and `methods` of a settings.yaml in canonical JSON, without settings of output files.
 
-    Two runs have the same hash if they read the same paths with the same options, whatever they write.
+    Two runs have the same hash if they read the same paths with the same options and methods, whatever they write.
     """
-    text = _canonical({key: value for key, value in run.items() if key not in _NOT_HASHED})
+    hashed = {key: value for key, value in run.items() if key not in _NOT_HASHED}
+    text = _canonical({**hashed, "methods": methods} if methods else hashed)
     return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
 
 

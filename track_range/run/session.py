@@ -25,6 +25,7 @@ from track_range.pipeline.frame_result import FrameResult
 from track_range.pipeline.threads import LIVE_DEPTHS, run_in_threads
 from track_range.pipeline.throughput import FrameMeter, PacedFrames
 from track_range.ranging.evaluation.truth import read_truth
+from track_range.ranging.registry import origins
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.region import Region, region_at
 from track_range.ranging.size_models.size_model import SizeModel
@@ -189,7 +190,7 @@ class RunSession:
     @property
     def provenance(self) -> Provenance:
         """Origin of the results."""
-        return Provenance.of_inputs(self.detected(), settings_hash(absolute_settings(self.settings)))
+        return Provenance.of_inputs(self.detected(), settings_hash(absolute_settings(self.settings), origins()))
 
     def info(self, overlay: Path | None) -> RunInfo:
         """Properties of the run for result writers."""

@@ -19,6 +19,7 @@ from track_range.foundation.files.structured_text import read_yaml, yaml_text
 from track_range.foundation.options import Options, is_file, option_of, value_type
 from track_range.foundation.schema_version import SCHEMA_VERSION
 from track_range.foundation.validation import first_problem
+from track_range.ranging.registry import methods as all_methods, origins
 from track_range.recording.live.address import LiveAddress, live_address
 from track_range.recording.names import VideoName, files_of
 from track_range.results.provenance import settings_hash
@@ -112,18 +113,27 @@ def read_settings(file: Path) -> dict[str, Any]:
     document = read_yaml(file, ConfigError, "the settings.yaml of a run")
     if not isinstance(document, dict) or document.get("track_range_settings") != 1:
         raise ConfigError(f"{file}: expected the settings.yaml of a run, with the key 'track_range_settings: 1'.")
-    run = document.get("run")
+    run, methods = document.get("run"), document.get("methods")
+    for name, origin in methods.items() if isinstance(methods, dict) else ():
+        if name not in [method.name for method in all_methods()]:
+            raise ConfigError(
+                f"{file}: expected the ranging method {name!r} ({origin}), but it is not registered; install its "
+                "package, register it before the run, or delete it from the section 'methods'."
+            )
     if not isinstance(run, dict) or not all(isinstance(key, str) for key in run):
         raise ConfigError(f"{file}: expected a section 'run:' with the settings of the run.")
     return run
 
 
 def save_settings(settings: RunSettings, path: Path, *, detected: dict[str, Any] | None = None) -> None:
-    """Write settings.yaml: the settings with absolute paths under `run`, properties of the inputs under `found`."""
-    run = absolute_settings(settings)
-    head = {"track_range_settings": 1, "schema_version": SCHEMA_VERSION, "settings_hash": settings_hash(run)}
-    inputs = {} if detected is None else {"found": detected}
-    write_text(path, yaml_text({**head, "run": run, **inputs}))
+    """Write settings.yaml: the settings with absolute paths under `run`, properties of the inputs under `found`.
+
+    `methods` are the origins of the ranging methods that are not built in.
+    """
+    run, methods = absolute_settings(settings), origins()
+    head = {"track_range_settings": 1, "schema_version": SCHEMA_VERSION, "settings_hash": settings_hash(run, methods)}
+    others = ({"methods": methods} if methods else {}) | ({} if detected is None else {"found": detected})
+    write_text(path, yaml_text({**head, "run": run, **others}))
 
 
 def absolute_settings(settings: RunSettings) -> dict[str, Any]:

@@ -290,7 +290,8 @@ def test_detector_with_invalid_boxes():
             self.n_images += 1
             return Detections.of([[49.5, 59.5, 69.5, 79.5]], [0.9], [2 if self.n_images < 3 else 9])
 
-    with pytest.raises(DetectorError, match=r"Coco, frame 2: class_id: .*5 truck.*got 9 in row 0\.$") as raised:
+    expected = r"Coco, frame 2: ValueError: class_id: .*5 truck.*got 9 in row 0 \(line \d+ of test_pipeline\.py\)\.$"
+    with pytest.raises(DetectorError, match=expected) as raised:
         list(run_in_threads(pipeline(boxes_of(Coco()).detect), frames(5)))
     assert isinstance(raised.value.__cause__, ValueError)
 

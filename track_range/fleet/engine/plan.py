@@ -22,6 +22,7 @@ from track_range.foundation.errors import ConfigError, UsageError
 from track_range.foundation.files.input_files import open_regular
 from track_range.foundation.files.numeric_text import number
 from track_range.foundation.options import is_file, option_of
+from track_range.ranging.registry import origins
 from track_range.ranging.size_models.curve import load_curves
 from track_range.recording.telemetry.speed_source import AUTO, OFF
 from track_range.run.options.detection import MASK_SUFFIXES
@@ -172,6 +173,7 @@ def fleet_plan(settings: FleetSettings, options: Mapping[str, Any]) -> FleetPlan
     values = checked.model_dump(mode="json", exclude_none=True)
     hashed = {key: value for key, value in values.items() if key not in _NOT_TAKEN} | hashes
     content = {"run": hashed, "reports": settings.reports, "version": version("track-range")}
+    content |= {"methods": extra} if (extra := origins()) else {}
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return FleetPlan(
         settings=settings,
