@@ -156,7 +156,7 @@ def _jobs(scene: SpeedScene) -> dict[str, Callable[[], object]]:
         "patch, full range": lambda: patch.match(scene.left, scene.right, scene.xyxy_px, no_prior_px),
         **{f"dense {mode}": partial(sgbm.dense_disparity, scene.left, scene.right) for mode, sgbm in dense.items()},
         "rectify right frame": lambda: cv2.remap(scene.right, *maps, cv2.INTER_LINEAR),
-        "rectify right strips": lambda: [RemappedView(scene.right, maps)[strip] for strip in strips],
+        "rectify right strips": lambda: list(map(RemappedView(scene.right, maps).__getitem__, strips)),
     }
 
 
