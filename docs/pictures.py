@@ -32,7 +32,7 @@ from track_range.evaluation.sequences.labelled_images import LabelledSource
 from track_range.ranging.registry import methods
 from track_range.views.overlay import birds_eye
 
-IMAGES = Path(__file__).with_name("images")
+FIGURES, FRAMES = (Path(__file__).parent / "images" / name for name in ("figures", "frames"))
 
 FOCAL_PX, BASELINE_M, CAMERA_HEIGHT_M = 721.5, 0.54, 1.65
 """KITTI's left colour camera, as in the simulation."""
@@ -252,17 +252,17 @@ def moving() -> None:
         small = cv2.resize(read[1], None, fx=0.7, fy=0.7, interpolation=cv2.INTER_AREA)
         frames.append(Image.fromarray(small[:, :, ::-1]))
     first, *rest = frames
-    first.save(IMAGES / "moving.webp", save_all=True, append_images=rest, duration=100, loop=0, quality=45, method=6)
+    first.save(FRAMES / "moving.webp", save_all=True, append_images=rest, duration=100, loop=0, quality=45, method=6)
 
 
 def overlay() -> None:
     """A frame of the demo's overlay, and the road from above that is part of it."""
     image = _frame(_demo() / "overlay.mp4", DEMO_FRAME)
-    _save_jpeg(image, IMAGES / "overlay.jpg", quality=88)
+    _save_jpeg(image, FRAMES / "overlay.jpg", quality=88)
     places = birds_eye._places((image.shape[1], image.shape[0])).round().astype(int)
     inset = min((image[y1:y2, x1:x2] for x1, y1, x2, y2 in places), key=np.mean)  # its background is dark
     inset = cv2.resize(inset, None, fx=2.2, fy=2.2, interpolation=cv2.INTER_CUBIC)
-    cv2.imwrite(str(IMAGES / "from_above.png"), inset)
+    cv2.imwrite(str(FRAMES / "from_above.png"), inset)
 
 
 def disparity() -> None:
@@ -271,7 +271,7 @@ def disparity() -> None:
     options = ["--overlay-disparity", "--align", "off", "--start", "2", "--duration", "1.2", "--out", str(out)]
     _track_range("--stereo", str(drive / "left.mp4"), str(drive / "right.mp4"), *options)
     image = _frame(out / "overlay.mp4", 10)
-    _save_jpeg(cv2.resize(image, None, fx=0.8, fy=0.8, interpolation=cv2.INTER_AREA), IMAGES / "disparity.jpg")
+    _save_jpeg(cv2.resize(image, None, fx=0.8, fy=0.8, interpolation=cv2.INTER_AREA), FRAMES / "disparity.jpg")
 
 
 def anonymized() -> None:
@@ -280,7 +280,7 @@ def anonymized() -> None:
     _track_range("simulate", "--out", str(drive), "--scenario", "city", "--seed", "101", "--seconds", "2.6")
     pair = (str(drive / "left.mp4"), str(drive / "right.mp4"))
     _track_range("--stereo", *pair, "--no-sgbm", "--anonymize", "--out", str(results))
-    _save_jpeg(_frame(results / "overlay.mp4", 20), IMAGES / "anonymized.jpg", quality=80)
+    _save_jpeg(_frame(results / "overlay.mp4", 20), FRAMES / "anonymized.jpg", quality=80)
 
 
 def scenarios() -> None:
@@ -295,7 +295,7 @@ def scenarios() -> None:
         cv2.putText(tile, name, (8, 19), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (255, 255, 255), 1, cv2.LINE_AA)
         tiles.append(cv2.copyMakeBorder(tile, 2, 2, 2, 2, cv2.BORDER_CONSTANT, value=(255, 255, 255)))
     rows = [np.hstack(tiles[i : i + 2]) for i in range(0, len(tiles), 2)]
-    _save_jpeg(np.vstack(rows), IMAGES / "scenarios.jpg", quality=80)
+    _save_jpeg(np.vstack(rows), FRAMES / "scenarios.jpg", quality=80)
 
 
 def failures() -> None:
@@ -326,7 +326,7 @@ def failures() -> None:
     worst = [image for _, image in sorted(tiles, key=lambda tile: -tile[0])[:6]]
     framed = [cv2.copyMakeBorder(tile, 2, 2, 2, 2, cv2.BORDER_CONSTANT, value=(255, 255, 255)) for tile in worst]
     rows = [np.hstack(framed[i : i + 2]) for i in range(0, 6, 2)]
-    _save_jpeg(np.vstack(rows), IMAGES / "detector_failures.jpg", quality=80)
+    _save_jpeg(np.vstack(rows), FRAMES / "detector_failures.jpg", quality=80)
 
 
 def report() -> None:
@@ -345,7 +345,7 @@ def report() -> None:
         page.screenshot(path=str(shot))
         browser.close()
     image = cv2.resize(cv2.imread(str(shot)), None, fx=0.75, fy=0.75, interpolation=cv2.INTER_AREA)
-    _save_jpeg(image, IMAGES / "report.jpg", quality=80)
+    _save_jpeg(image, FRAMES / "report.jpg", quality=80)
 
 
 # -- helpers ----------------------------------------------------------------------------------------------------------
@@ -444,7 +444,7 @@ def _frame(video: Path, index: int) -> Any:
 
 def _save(figure: Figure, name: str) -> None:
     figure.tight_layout()
-    figure.savefig(IMAGES / name, metadata={"Date": None}, facecolor="white")
+    figure.savefig(FIGURES / name, metadata={"Date": None}, facecolor="white")
 
 
 def _save_jpeg(image: Any, path: Path, quality: int = 85) -> None:
@@ -473,6 +473,5 @@ PICTURES: dict[str, Callable[[], None]] = {
 }
 
 if __name__ == "__main__":
-    IMAGES.mkdir(exist_ok=True)
     for chosen in sys.argv[1:] or PICTURES:
         PICTURES[chosen]()
