@@ -33,7 +33,7 @@ class VideoFacts:
     fps: float | None = None
     is_rectified: bool = False  # boxes are in rectified pixels, as in the results of a run, not in those of the video
     provenance: Mapping[str, str] = field(default_factory=dict)  # program, model, ..., for metadata of files
-    step: int = 1  # N = each N-th frame from the first one has labels if there are any objects in it
+    frames: Sequence[int] | None = None  # the numbers of those that have labels if objects are in them; None = all
 
     @property
     def pixels(self) -> str:
@@ -183,7 +183,9 @@ def _column(values: npt.ArrayLike, dtype: type, *shape: int) -> npt.NDArray[Any]
     return array.reshape(shape) if array.ndim else np.full(shape, array)
 
 
-def frames_listed(table: BoxTable) -> range:
-    """Numbers of the frames that a written file lists: from the first labelled one to the last of the video."""
+def frames_listed(table: BoxTable) -> Sequence[int]:
+    """Numbers of the frames that a written file lists, by default from the first labelled one to the last one."""
+    if table.video.frames is not None:
+        return table.video.frames
     n_frames = max(table.video.n_frames or 0, int(table.frame.max(initial=-1)) + 1)
-    return range(min([table.video.first_frame, *table.frame[:1].tolist()]), n_frames, table.video.step)
+    return range(min([table.video.first_frame, *table.frame[:1].tolist()]), n_frames)

@@ -128,6 +128,13 @@ def events_section(events: Sequence[Event], seconds: float) -> dict[str, Any]:
     }
 
 
+def frame_spans(frames: IntArray, every: int) -> dict[str, list[list[int]]]:
+    """`processed_frames`, first and last of each series of each `every`-th frame; no entry if there is one series."""
+    ends = np.flatnonzero(np.diff(frames) != every)
+    spans = np.column_stack([frames[[0, *(ends + 1)]], frames[[*ends, -1]]]).tolist() if len(ends) else []
+    return {"processed_frames": spans} if spans else {}
+
+
 def stage_times_ms(busy_s: Mapping[str, float], n_frames: int) -> dict[str, float]:
     """Run time of each stage in ms per frame."""
     return {name: round(1e3 * seconds / max(n_frames, 1), 3) for name, seconds in busy_s.items()}

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 Number = Annotated[float, Field(strict=True)]
 Figure = Annotated[float, Field(strict=True, gt=-1e15, lt=1e15, allow_inf_nan=False)] | None
 """Finite number, or null = unknown; the limits are larger than any value of a run."""
+_FrameNumber = Annotated[int, Field(strict=True, ge=0, lt=10**9)]
 Text = Annotated[str, Field(strict=True)] | None
 
 
@@ -76,6 +77,7 @@ _SUMMARY = _section(
     events=_section(**_all(Figure, "n hours"), by_kind=dict[str, Figure], worst=dict[str, Any] | None) | None,
     alignment=_section(_Figures, source=Text, is_applied=Any, health=_HEALTH | None) | None,
     closest_approaches=list[_Approach],
+    processed_frames=list[tuple[_FrameNumber, _FrameNumber]],
     learnt_scale=_LearntScale | None,
     synchronisation=list[dict[str, Any]] | None,
     scale_doubt=_section(**_all(Figure, "factor sigma n_objects"), causes=dict[str, Figure], evidence=Text) | None,

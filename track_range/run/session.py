@@ -40,6 +40,7 @@ from track_range.results.progress_note import LOADING
 from track_range.results.provenance import Provenance, settings_hash
 from track_range.results.summary import (
     events_section,
+    frame_spans,
     matched_truth,
     range_scores,
     stage_times_ms,
@@ -317,6 +318,7 @@ class RunSession:
         busy_s = {**pipeline.clock.busy_s, "read": recording.busy_s}
         summary = {
             "frames": n_frames,
+            **frame_spans(np.array(rows.frame_index, np.int64), self.settings.every or 1),
             "starts_s": round(rows.starts_s, 6),
             "utc": None if recording.utc is None else recording.utc.summary(),
             "ego_speed": self.speed.summary(np.array(rows.ego_mps), None if odometry is None else odometry.source),

@@ -289,7 +289,7 @@ def _interpolate_repeated(boxes: _Boxes) -> None:
 
 def write_cvat(table: BoxTable, path: Path) -> Written:
     """Write a table as CVAT for video 1.1, where each track has one class; regions have the label dontcare."""
-    frames = frames_listed(table)
+    frames = np.asarray(frames_listed(table), np.int64)
     table = replace(table, class_name=np.where(table.is_region, DONT_CARE, table.class_name))
     ids, notes = _identities(table)
     order = np.argsort(ids, kind="stable")
@@ -298,7 +298,7 @@ def write_cvat(table: BoxTable, path: Path) -> Written:
         file.write('<?xml version="1.0" encoding="utf-8"?>\n<annotations>\n  <version>1.1</version>\n')
         file.writelines(_meta_lines(table, frames))
         for track_id, rows in zip(track_ids.tolist(), np.split(order, starts[1:]), strict=False):
-            file.writelines(_track_lines(table.select(rows), track_id, frames.stop))
+            file.writelines(_track_lines(table.select(rows), track_id, frames))
         file.write("</annotations>\n")
     return Written(len(table), notes)
 
@@ -323,11 +323,12 @@ def _identities(table: BoxTable) -> tuple[IntArray, tuple[str, ...]]:
     return ids, tuple(notes)
 
 
-def _meta_lines(table: BoxTable, frames: range) -> Iterator[str]:
-    video, size = table.video, max(frames.stop - frames.start, 0)
+def _meta_lines(table: BoxTable, frames: IntArray) -> Iterator[str]:
+    video, size = table.video, int(np.ptp(frames)) + 1 if len(frames) else 0
+    first, last = (int(frames[0]), int(frames[-1])) if size else (video.first_frame, 0)
     yield f"  <meta>\n    <task>\n      <name>{_text(video.name or 'track-range')}</name>\n"
     yield f"      <size>{size}</size>\n      <mode>interpolation</mode>\n      <overlap>0</overlap>\n"
-    yield f"      <start_frame>{frames.start}</start_frame>\n      <stop_frame>{max(frames.stop - 1, 0)}</stop_frame>\n"
+    yield f"      <start_frame>{first}</start_frame>\n      <stop_frame>{last}</stop_frame>\n"
     yield "      <frame_filter></frame_filter>\n      <labels>\n"
     for name in table.all_labels:
         yield f"        <label>\n          <name>{_text(name)}</name>\n          <attributes>\n"
@@ -357,11 +358,12 @@ CVAT_ATTRIBUTES = (  # name, input type and default value of the attributes that
 )
 
 
-def _track_lines(rows: BoxTable, track_id: int, n_frames: int) -> Iterator[str]:
+def _track_lines(rows: BoxTable, track_id: int, frames: IntArray) -> Iterator[str]:
+    """A track, which ends in front of each gap: a listed frame without its box."""
     label = quoteattr(_NOT_XML.sub("?", rows.label[0]))
     yield f'  <track id={quoteattr(str(track_id))} label={label} source="auto">\n'
     edges = rows.xyxy_px + HALF_PIXEL_PX
-    is_last = np.append(np.diff(rows.frame) > 1, True)
+    is_last = np.append(np.diff(np.searchsorted(frames, rows.frame)) > 1, True)
     is_keyframe = _keyframes(rows, is_last)
     for row, frame in enumerate(rows.frame.tolist()):
         corners = " ".join(f'{name}="{edge:.3f}"' for name, edge in zip(_EDGES, edges[row].tolist(), strict=True))
@@ -372,7 +374,7 @@ def _track_lines(rows: BoxTable, track_id: int, n_frames: int) -> Iterator[str]:
             if math.isfinite(value := getattr(rows, name)[row]):
                 yield f'      <attribute name="{name}">{value:.{decimals}f}</attribute>\n'
         yield f'      <attribute name="predicted">{"true" if is_predicted else "false"}</attribute>\n    </box>\n'
-        if is_last[row] and frame + 1 < n_frames:
+        if is_last[row] and frame < frames[-1]:
             flags = 'keyframe="1" outside="1" occluded="0"'
             yield f'    <box frame="{frame + 1}" {flags} {corners} z_order="0"></box>\n'
     yield "  </track>\n"

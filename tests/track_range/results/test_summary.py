@@ -7,7 +7,7 @@ import pytest
 from track_range.foundation.files.output_files import write_json
 from track_range.ranging.evaluation.truth import Truth
 from track_range.results.columns import column_names
-from track_range.results.summary import matched_truth, range_scores, stage_times_ms, track_scores
+from track_range.results.summary import frame_spans, matched_truth, range_scores, stage_times_ms, track_scores
 
 BOX = np.array([10.0, 10.0, 40.0, 40.0])
 
@@ -112,3 +112,17 @@ def test_truth_without_rows():
     assert scores["methods"]["fused"]["n"] == 0
     assert "closing" not in scores
     assert track_scores(columns, truth, np.arange(10))["n_truth_boxes"] == 0
+
+
+@pytest.mark.parametrize(
+    ("frames", "every", "spans"),
+    [
+        ([], 1, None),
+        ([7, 8, 9], 1, None),
+        ([0, 2, 4], 2, None),
+        ([7, 8, 11, 12, 13, 15], 1, [[7, 8], [11, 13], [15, 15]]),
+        ([0, 2, 6], 2, [[0, 2], [6, 6]]),
+    ],
+)
+def test_spans_of_processed_frames(frames, every, spans):
+    assert frame_spans(np.array(frames, np.int64), every) == ({} if spans is None else {"processed_frames": spans})

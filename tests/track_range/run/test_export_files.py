@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -142,7 +143,7 @@ def test_each_third_frame_as_labels(run: Path, tmp_path: Path, cli: Cli) -> None
     video = yaml.safe_load((tmp_path / "yolo/data.yaml").read_text())["video"]
     assert (video["frames"], video["fps"]) == (13, pytest.approx(10))
     assert cli("export", run, "--to", "cvat", "--out", tmp_path / "cvat")[0] == 0
-    assert read_labels(tmp_path / "cvat").frame.tolist() == [0, 3, 9]
+    assert read_labels(tmp_path / "cvat").frame.tolist() == [0, 1, 2, 3, 9]  # 6 was processed without the road user
 
 
 def test_irregular_frames_are_all_listed(run: Path, tmp_path: Path, cli: Cli) -> None:
@@ -160,6 +161,30 @@ def test_each_third_frame_in_mcap(run: Path, tmp_path: Path, cli: Cli) -> None:
         times_s = {message.log_time / 1e9 for _, channel, message in make_reader(file).iter_messages()
                    if channel.topic == "/tracks/ranges"}  # fmt: skip
     assert np.diff(sorted(times_s)) == pytest.approx([0.3] * 4)
+
+
+@pytest.mark.parametrize(
+    ("summary", "listed"),
+    [
+        ({"frames": 5, "frames_dropped": 5, "processed_frames": [[0, 3], [9, 9]]}, [0, 1, 2, 3, 9]),
+        ({"frames": 9, "frames_dropped": 5, "processed_frames": [[0, 3], [9, 9]]}, [0, 3, 9]),  # contradicts itself
+        ({"frames": 5, "frames_dropped": 5}, [0, 3, 9]),  # of an earlier version
+        (None, [0, 3, 9]),  # killed
+    ],
+)
+def test_dropped_frames_are_not_listed(
+    run: Path, tmp_path: Path, cli: Cli, summary: dict[str, Any] | None, listed: list[int]
+) -> None:
+    each_third_frame(run)
+    (run / "settings.yaml").write_text((run / "settings.yaml").read_text().replace("every: 3", "realtime: true"))
+    (run / "summary.json").unlink()
+    if summary is not None:
+        (run / "summary.json").write_text(json.dumps(summary))
+    assert cli("export", run, "--to", "coco", "--out", tmp_path / "coco")[0] == 0
+    assert [image["frame_index"] for image in json.loads((tmp_path / "coco").read_text())["images"]] == listed
+    assert cli("export", run, "--to", "cvat", "--out", tmp_path / "cvat")[0] == 0
+    # frames 1 and 2 either end the track, since they were processed without the road user, or are interpolated
+    assert read_labels(tmp_path / "cvat").frame.tolist() == [0, *({1, 2} - set(listed)), *range(3, 10)]
 
 
 @pytest.mark.parametrize(

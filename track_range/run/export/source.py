@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from track_range.detection.formats.box_table import NO_FACTS, BoxTable, VideoFacts, file_name_part
 from track_range.detection.formats.errors import LabelFileError
@@ -50,24 +52,34 @@ def open_run(folder: Path) -> tuple[RunFolder, PinholeCamera | None]:
 
 def boxes_of_run(run: RunFolder, camera: PinholeCamera | None) -> BoxTable:
     """The boxes of a run, in rectified pixels."""
-    rows, frames, video_name = run.columns, run.summary.get("frames"), _video_of(run.settings)
-    n_frames, every = int(rows["frame"].max(initial=-1)) + 1, every_of(run.settings)
-    # the numbers of the frames of a live run start at that of the first processed one
-    is_part = bool(run.settings.get("start_s")) or live_address(video_name) is not None
-    first = int(rows["frame"].min(initial=n_frames)) if is_part else 0
-    if isinstance(frames, int):
-        n_frames = max(n_frames, first + (frames - 1) * every + 1)
+    rows, video_name, every = run.columns, _video_of(run.settings), every_of(run.settings)
+    frames = processed_frames(run, is_live=live_address(video_name) is not None)
     video = VideoFacts(
         name=file_name_part(Path(video_name).stem),
-        n_frames=n_frames or None,
-        first_frame=first,
+        n_frames=frames[-1] + 1 if frames else None,
+        first_frame=frames[0] if frames else 0,
         size_px=None if camera is None else (camera.width_px, camera.height_px),
         fps=run.fps and run.fps * every,
         is_rectified=True,
         provenance=run.provenance.metadata(),
-        step=1 if ((rows["frame"] - first) % every).any() else every,
+        frames=frames,
     )
     return table_of_rows(rows, camera, video)
+
+
+def processed_frames(run: RunFolder, *, is_live: bool) -> Sequence[int]:
+    """Numbers of the processed frames; of a killed run that may have dropped frames, those with rows."""
+    with_rows: list[int] = np.unique(run.columns["frame"]).astype(np.int64).tolist()
+    n_frames, every = int(run.summary.get("frames") or 0), every_of(run.settings)
+    spans = [range(first, last + 1, every) for first, last in run.summary.get("processed_frames") or ()]
+    if spans and sum(map(len, spans)) == n_frames:
+        return sorted({*with_rows, *(frame for span in spans for frame in span)})
+    if run.summary.get("frames_dropped", is_live or run.settings.get("realtime")):
+        return with_rows
+    # the numbers of the frames of a live run start at the number of the first processed one
+    first = min(with_rows, default=0) if is_live or run.settings.get("start_s") else 0
+    n_frames = max(max(with_rows, default=-1) + 1, first + (n_frames - 1) * every + 1)
+    return range(first, n_frames, 1 if any((frame - first) % every for frame in with_rows) else every)
 
 
 def _video_of(settings: Mapping[str, Any]) -> str:
