@@ -35,8 +35,8 @@ COCO_BOX_ERRORS: Mapping[str, BoxErrors] = {
     "NanoDet": {"car": BoxError(0.0, 0.045, 0.0, 0.045)},
     "PicoDet": {"car": BoxError(-0.02, 0.045, 0.01, 0.045)},
 }
-"""By family, of small networks trained with COCO (YOLOv5n, YOLOX-nano, NanoDet-m, PicoDet-s) on 5 road drives; see
-docs/how-to/detectors.md."""
+"""Errors by family, measured with small networks trained with COCO (YOLOv5n, YOLOX-nano, NanoDet-m, PicoDet-s) on
+5 road drives; see docs/how-to/detectors.md."""
 
 
 _EXPECTED = (

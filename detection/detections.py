@@ -70,7 +70,7 @@ class Detections:
             return
         is_finite = np.isfinite(boxes).all(axis=1)
         for expected, values, rows in (
-            (f"class_id: expected {ROAD_CLASS_TABLE} (COCO's ids: Detections.from_coco)", class_id, is_valid[:2]),
+            (f"class_id: expected {ROAD_CLASS_TABLE} (COCO: Detections.from_coco)", class_id, is_valid[:2]),
             ("score: expected a confidence from 0 to 1", score, is_valid[2:4]),
             ("xyxy_px: expected finite left <= right and top <= bottom", boxes, (*is_valid[4:], is_finite)),
         ):
@@ -136,7 +136,7 @@ class Detections:
         return cls.of(*read_supervision(boxes, class_names)[:3])
 
     def to_supervision(self) -> Any:
-        """The boxes as supervision's `Detections` if that is installed, else as an object with the same attributes."""
+        """The boxes as supervision's `Detections` if it is installed, else as an object with the same attributes."""
         return supervision_boxes(self.xyxy_px, self.score, self.class_id)
 
     def select(self, index: Rows) -> Detections:

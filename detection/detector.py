@@ -41,7 +41,7 @@ def checked_detections(detector: ObjectDetector, image: Image, frame_index: int)
 def without_confused(detections: Detections, max_iou: float = MAX_IOU) -> Detections:
     """The detections without boxes that overlap a higher-scoring box of another class in the same group.
 
-    Groups are of classes that detectors confuse: a car and a truck on one vehicle are one object.
+    A group has classes that detectors confuse: a car and a truck on one vehicle are one object.
     Boxes of one class do not suppress each other: their source decides which of them are one object.
     """
     group = SAME_OBJECT_GROUP[detections.class_id]

@@ -1,1 +1,1 @@
-"""Boxes of each frame in, identities out."""
+"""Tracking: identities for the boxes of successive frames."""

@@ -116,7 +116,7 @@ def _weights(residual_px: FloatArray, noise_px: float) -> FloatArray:
 def _similarity(
     points: ComplexArray, flow: ComplexArray, settings: CameraMotionSettings, *, min_spread_px: float
 ) -> tuple[complex, complex, BoolArray]:
-    """A robust similarity c = a + ib and t, by least squares in closed form, and (N,) which features are inliers."""
+    """A robust similarity c = a + ib and t, by least squares in closed form, and the (N,) mask of the inliers."""
     growth, t = 0j, complex(_median(flow.real), _median(flow.imag))  # growth: c - 1
     for _ in range(_N_SIMILARITY_ROUNDS):
         weight = _weights(np.abs(growth * points + t - flow), settings.noise_px)
@@ -134,7 +134,7 @@ def _similarity(
 def _rotation(
     points: ComplexArray, flow: ComplexArray, settings: CameraMotionSettings, *, min_radius_px: float
 ) -> tuple[complex, complex, BoolArray]:
-    """Yaw, pitch and roll as c = a + ib (of size 1) and t, and (N,) which are inliers: none if t is not determined.
+    """Yaw, pitch and roll as c = a + ib (of size 1) and t, and the (N,) inliers: none if t is not determined.
 
     Perpendicular to the direction from the centre, at distance r, the flow is t + b r - z v: linear in t, b and v for a
     given z, which is the flow along that direction, less t, over r. Features on one line from the centre do not

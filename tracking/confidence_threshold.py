@@ -53,7 +53,7 @@ class ConfidenceThresholdSettings:
 
 
 class _Boxes(NamedTuple):
-    """The boxes of a frame (N, 4), copied, since the caller may reuse the arrays, their scores and classes (N,)."""
+    """The boxes (N, 4) of a frame, with scores and classes (N,); copies, since the caller may reuse the arrays."""
 
     xyxy_px: FloatArray
     score: FloatArray
@@ -63,7 +63,7 @@ class _Boxes(NamedTuple):
 class ConfidenceThreshold:
     """The thresholds of one stream, one for each group of classes that detectors confuse.
 
-    A new estimate needs 5 % more boxes; until then, frames only wait to be compared, all in one step.
+    A new estimate needs 5 % more boxes; until then, frames are collected; they are then compared in one step.
     """
 
     def __init__(self, settings: ConfidenceThresholdSettings) -> None:
@@ -85,8 +85,8 @@ class ConfidenceThreshold:
     def update(self, detections: Detections, moved_xyxy_px: FloatArray | None = None) -> None:
         """Count the boxes of one frame, including low-confidence ones.
 
-        `moved_xyxy_px` (N, 4) are the boxes of the last frame with any, where their tracks predict them now: near ones
-        move by more than their width. None = as they were.
+        `moved_xyxy_px` (N, 4) are the boxes of the last frame with boxes, moved as their tracks predict, since near
+        objects move by more than their width; None = not moved.
         """
         if self._settings.min_fraction <= 0 or not len(detections):
             return  # no information if the detector skipped the frame, and hardly any if it is empty

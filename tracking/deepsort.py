@@ -102,8 +102,8 @@ class DeepSortTracker:
     ) -> None:
         """Create a tracker without tracks.
 
-        `appearance_model` computes embeddings where there are images and the detections have none; None = no appearance
-        there. `flow` tracks the background, also for the odometry of the stream; None = a separate one.
+        `appearance_model` computes embeddings where there are images and the detections have none; None = appearance is
+        not used. `flow` tracks the background, also for the odometry of the stream; None = a separate one.
         `camera_motion` estimates the motion of the background from the images; None = from `flow`.
         """
         self._settings = settings = settings or DeepSortSettings()
@@ -204,9 +204,9 @@ class DeepSortTracker:
             table.filters = motion.predict(table.filters, dt_s, settings.noise, noise_scale=self._noise_scale.value)
 
     def _moved(self) -> FloatArray:
-        """(M, 4) the boxes of the last frame with any; tracked ones that move by over 0.35 of their size, predicted.
+        """(M, 4) boxes of the last frame with boxes; tracked boxes that move by over 0.35 of their size are predicted.
 
-        These would have an IoU of at most 1/2 with themselves in this frame, without any error.
+        Without the prediction, even an exact box would have an IoU of at most 1/2 with itself in this frame.
         """
         boxes_px, ids = self._last_xyxy_px, self._table.track_id
         if not len(ids):
@@ -223,7 +223,7 @@ class DeepSortTracker:
     def _is_streak(self, time_s: float) -> BoolArray:
         """(N,) whether a track was detected in the last frame with any detection, at most `max_skipped_s` ago.
 
-        At low frame rates, at most one and a half of the shortest step between two frames ago.
+        At low frame rates, the limit is one and a half times the shortest step between two frames.
         """
         if time_s - self._last_detected_s > max(self._settings.max_skipped_s, 1.5 * self._shortest_step_s):
             return np.zeros(len(self._table), np.bool_)
@@ -337,7 +337,7 @@ class DeepSortTracker:
         return replace(tracks, xyxy_px=np.where(tracks.observed[:, None], boxes_px, tracks.xyxy_px))
 
     def _as_tracks(self, rows: IntArray, is_detected: BoolArray) -> Tracks:
-        """The tracks in these rows of the tracks detected in this frame (N,), with the detected boxes."""
+        """The tracks in `rows`, with their last detected boxes; `is_detected` (N,) is for all tracks of the table."""
         table = self._table
         boxes_px = table.history.last_xyxy_px.take(rows, axis=0)
         return Tracks(table.track_id[rows], boxes_px, table.class_id[rows], table.score[rows], is_detected[rows])

@@ -36,7 +36,7 @@ class ObjectTracker(Protocol):
 class RefinableTracker(ObjectTracker, Protocol):
     """A tracker with additional output for `track_range.tracking.offline_refinement`; optional.
 
-    The tracks of other trackers are refined too, but without the boxes from before a track's confirmation, and tracks
+    The tracks of other trackers are refined too, but without the boxes before a track's confirmation, and tracks
     with low scores are not dropped.
     """
 
@@ -157,7 +157,7 @@ def checked_tracks(tracker: ObjectTracker, result: Any) -> Tracks:
 
 
 def _imported(factory: TrackerFactory | str) -> TrackerFactory:
-    """The class or function, imported if it is given as "package.module:attribute"; TrackerError if it cannot be."""
+    """The class or function, imported if it is given as "package.module:attribute"; TrackerError if that fails."""
     try:
         made_by = imported(factory)
     except (ImportError, AttributeError, ValueError) as error:

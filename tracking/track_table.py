@@ -82,7 +82,7 @@ class TrackTable:
             self.gallery = self.gallery.append(rows, detections.descriptor.take(matched, axis=0))
 
     def _elect(self) -> None:
-        """Change the class of tracks for which another one leads by more votes than random classes would."""
+        """Change the class of tracks for which another class leads by more votes than chance explains."""
         best = self.class_votes.argmax(axis=1)
         if (best == self.class_id).all():
             return

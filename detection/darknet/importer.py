@@ -1,7 +1,7 @@
 """Import of Darknet networks (cfg and weights) as ONNX files: YOLOv3, YOLOv4 and their tiny versions.
 
 The outputs are the inputs of the [yolo] layers, [1, A (5 + classes), rows, columns], in the cfg's order and named after
-their strides (`head_s32`, ...). `detection.yolo.decoders.anchored` makes boxes of them; the class names, anchors
+their strides (`head_s32`, ...). `detection.yolo.decoders.anchored` decodes them into boxes; the class names, anchors
 and scale_x_y that it needs are written to the file's metadata (`detection.models.metadata`).
 
     [net]  images [1, 3, H, W], RGB / 255  -->  Conv, MaxPool, Resize, Concat, Slice, Add  -->  head_s32, head_s16, ...

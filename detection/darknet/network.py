@@ -166,7 +166,7 @@ def read_network(path: Path) -> Network:
 
 
 def read_layers(path: Path) -> tuple[CfgSection, list[CfgSection], Network]:
-    """The section [net], the [yolo] sections and the network of a cfg, without checks of the heads together."""
+    """The section [net], the [yolo] sections and the network of a cfg; the heads are not yet compared."""
     net, *sections = read_sections(path, tuple(_READERS))
     n_channels, height, width = (net.integer(key, default, minimum=1) for key, default in _NET_SIZES.items())
     if n_channels != 3:
@@ -215,7 +215,7 @@ class _Trunk:
         indices = tuple(index + current if index < 0 else index for index in section.integers(key))
         if not all(0 <= index < current for index in indices):
             raise section.error(
-                f"expected earlier layers than layer {current}, got {quoted(f'{key}={section.options[key]}')}"
+                f"expected layers before layer {current}, got {quoted(f'{key}={section.options[key]}')}"
             )
         return tuple(self.source(section, index) for index in indices)
 

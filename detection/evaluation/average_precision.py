@@ -78,7 +78,7 @@ def evaluate_detections(
     min_boxes: int = MIN_BOXES,
     min_height_px: float = 0.0,
 ) -> DetectionScores:
-    """Scores of one detector on labelled images, from the detections of each, down to very low scores.
+    """Scores of one detector on labelled images, from the detections of each image, down to very low scores.
 
     Precision and recall are at the thresholds `working_score` (8,) by road class. Classes without a name of the
     detector (`known_class_id`) or with fewer labels than `min_boxes` are excluded from the mean. Labels below

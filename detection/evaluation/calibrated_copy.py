@@ -47,7 +47,7 @@ def check_attributes(model: Path, out: Path) -> bytes | None:
 
 
 def write_calibrated_copy(detector: YoloDetector, fit: ScoreFit, out: Path, *, images: Path) -> None:
-    """Write a copy of a detector with the scores of a fit to `images`, and its attributes; else ModelError."""
+    """Write a copy of a detector with scores calibrated on `images`, and its attributes; ModelError if this fails."""
     known = detector.known_class_id
     background = fit.probability(np.full(len(known), BACKGROUND_SCORE), known)
     if background.max() > LOWEST_SCORE:

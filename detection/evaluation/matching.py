@@ -80,7 +80,7 @@ def match_class(
     ValueError: `detections` and `truth` differ in length.
     """
     if len(detections) != len(truth):
-        raise ValueError(f"detections: expected {len(truth)} images as in truth, got {len(detections)}")
+        raise ValueError(f"detections: expected {len(truth)} images, as many as in truth, got {len(detections)}")
     by_image = [
         _match_image(d, t, class_id, min_height_px=min_height_px, bins=bins)
         for d, t in zip(detections, truth, strict=True)
@@ -120,7 +120,7 @@ def height_px(xyxy_px: FloatArray) -> FloatArray:
 def _match(
     overlap: FloatArray, *, is_ignored: BoolArray, is_region: BoolArray, is_hit: BoolArray, is_void: BoolArray
 ) -> None:
-    """Set `is_hit` and `is_void` (10, K) in place from the overlaps (K, M) of detections, best first, with labels.
+    """Set `is_hit` and `is_void` (10, K) in place, from the overlaps (K, M) of detections (best first) and labels.
 
     A region (M,) can be matched more than once. Of equal overlaps the last label is matched, as in pycocotools.
     """

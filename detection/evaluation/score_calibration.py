@@ -144,7 +144,7 @@ def evaluate_calibration(
 ) -> ScoreCalibration:
     """Calibration of the scores of one detector on labelled images.
 
-    Detections are matched as for the average precision; those matched with labels to ignore are left out.
+    Detections are matched as for the average precision; detections matched with labels to ignore are left out.
 
     Example:
         >>> import numpy as np, track_range as tr

@@ -37,7 +37,7 @@ class VideoFacts:
 
     @property
     def pixels(self) -> str:
-        """`is_rectified` as written files state it."""
+        """Text for `is_rectified` in written files."""
         return "rectified" if self.is_rectified else "original"
 
     def completed_by(self, stated: VideoFacts, path: Path) -> VideoFacts:
@@ -74,7 +74,7 @@ def image_name(video: VideoFacts, frame: int) -> str:
 
 
 class Written(NamedTuple):
-    """Result of writing a table: the number of boxes in the file, and notes for the user on what it cannot hold."""
+    """Result of writing a table: the number of boxes in the file, and notes for the user on what was left out."""
 
     n_boxes: int
     notes: tuple[str, ...] = ()

@@ -100,7 +100,7 @@ def label_format_of(path: Path, expected: str = "labels") -> LabelFormat:
 def read_labels(path: Path, video: VideoFacts = NO_FACTS, *, expected: str = "labels") -> BoxTable:
     """The boxes of a file or folder in any format; LabelFileError if it is invalid.
 
-    `video` has facts that the file may lack, such as the image size for YOLO; `expected` is the content for messages.
+    `video` has facts that the file may lack, such as the image size for YOLO; messages call the content `expected`.
     """
     return label_format_of(path, expected).read(path, video)
 

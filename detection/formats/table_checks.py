@@ -45,7 +45,7 @@ def frame_in_name(name: str) -> int | None:
 
 
 def frames_of_names(names: Sequence[str], path: Path) -> tuple[list[int], str]:
-    """Frame number of each name of an image, and what states it: the number that differs, or the order of times.
+    """Frame number from each image name, and its source: the number that differs between names, or the order of times.
 
     LabelFileError unless the names differ only in one number, as the frames of one video do.
     """
@@ -108,7 +108,7 @@ def first_frame_note(path: Path, first: int, n_frames: int) -> tuple[str, ...]:
 
 
 def other_labels_note(table: BoxTable, path: Path) -> tuple[str, ...]:
-    """A note on boxes of labels that are not road classes, such as a renamed label, with the names."""
+    """A note on boxes whose labels are not road classes, such as a renamed label, with these labels."""
     is_other = (table.class_id < 0) & ~table.is_region & (table.class_name != "")
     if not is_other.any():
         return ()

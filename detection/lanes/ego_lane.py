@@ -89,7 +89,7 @@ def _pixels(markings: Markings, state: LaneState, side: float, number: int, gate
 def _updated(
     markings: Markings, expected: LaneState, prior: FloatArray, *, about: LaneState, seen: tuple[BoolArray, BoolArray]
 ) -> LaneState:
-    """One iteration: the state from the prior, with information matrix `prior`, and pixels weighted about `about`."""
+    """One iteration: the state from the prior (information `prior`) and pixels weighted by residuals from `about`."""
     information = prior
     pull = information @ expected.mean
     for side, is_on_line in zip(SIDES, seen, strict=True):

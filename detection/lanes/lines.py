@@ -50,7 +50,7 @@ class LaneLines:
     right: LaneLine | None = None
 
     def horizon_px(self) -> tuple[float, float] | None:
-        """Row of the vanishing point and its sigma, sigma_w / (dw/dy) with the distance w of the lines; None = none."""
+        """Row of the vanishing point and its sigma, sigma_w / (dw/dy) with the distance w of the lines, if any."""
         point = self.vanishing_point_px()
         if point is None or self.left is None or self.right is None:
             return None

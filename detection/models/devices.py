@@ -7,7 +7,7 @@ Device = Literal["auto", "cpu", "cuda", "tensorrt", "openvino", "coreml", "direc
 
 
 class Accelerator(NamedTuple):
-    """What runs networks on another device than the CPU."""
+    """An accelerator (a device other than the CPU), and what running networks on it requires."""
 
     provider: str  # onnxruntime's name of the execution provider
     needs: str  # what to install

@@ -1,8 +1,8 @@
 """Metadata of a model: class names, anchors, letterbox and other attributes, each with its source.
 
-Many ONNX files contain no metadata. Each attribute is read from the first of: the user's options, the file's metadata
-(written by Ultralytics' exporter and `track-range models import`), `MODEL.yaml` next to the file; otherwise the
-family's default is used. All sources use the same keys:
+Many ONNX files contain no metadata. Each attribute is read from the first source that has it: the user's options, the
+file's metadata (written by Ultralytics' exporter and `track-range models import`), `MODEL.yaml` next to the file;
+otherwise the family's default is used. All sources use the same keys:
 
     family     name of the family, for display           names      class names, in the network's order
     anchors    per output head, [width, height] pixels   scale_x_y  per output head, Darknet's scale of the centres

@@ -83,7 +83,7 @@ class OnnxSession:
         return inputs
 
     def as_input(self, blob: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """The network's input for a blob (batch, 3, height, width): `blob` itself if it has its form."""
+        """The network's input for a blob (batch, 3, height, width): `blob` itself if it has this form."""
         if self.n_channels == 1:
             blob = blob[:, :1]
         if self.has_channels_last:
@@ -173,7 +173,7 @@ def _checked_inputs(path: Path, inputs: Sequence[Any]) -> tuple[Any, Any | None]
 
 @contextmanager
 def _library_errors(path: Path, problem: str) -> Iterator[None]:
-    """Context of a library; onnx, protobuf and onnxruntime raise dozens of unrelated types for a broken file."""
+    """Context of a library, which may raise dozens of unrelated types for a broken file; all become ModelError."""
     try:
         yield
     except Exception as error:

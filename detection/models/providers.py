@@ -120,7 +120,7 @@ def _load_cuda() -> None:
 
 
 def _plugin_devices(device: str) -> list[Any]:
-    """Onnxruntime's devices of a provider that a separate package has, the preferred one first; none without it."""
+    """Onnxruntime's devices for a provider in a separate package, the preferred one first; none without the package."""
     accelerator = ACCELERATORS.get(device)
     if accelerator is None or not accelerator.plugin or not _is_registered(accelerator.plugin):
         return []
@@ -130,7 +130,7 @@ def _plugin_devices(device: str) -> list[Any]:
 
 @cache
 def _is_registered(plugin: str) -> bool:
-    """Whether the library of a package is registered with onnxruntime, which a process can do once."""
+    """Whether the library of a package is registered with onnxruntime, which a process can do only once."""
     with suppress(Exception):  # not installed, for other versions of onnxruntime, or not for this machine
         module = import_module(plugin)
         ort.register_execution_provider_library(module.get_ep_name(), module.get_library_path())

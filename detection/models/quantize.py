@@ -11,8 +11,8 @@ These parts stay in float, which determines the accuracy:
 
 - the last convolutions and everything after them, where one tensor contains both pixels (0..640) and scores (0..1);
 - convolutions with an input or output whose channels differ so much in range that the rounding of a common scale
-  exceeds the values of the smaller ones (YOLOX-nano's stem and the depthwise convolution after it: quantising these two
-  halves its average precision);
+  exceeds the values of the smaller channels (YOLOX-nano's stem and the depthwise convolution after it: quantising these
+  two halves its average precision);
 - everything before the first quantised convolution.
 
 Rounded weights and clipped activations shift the mean of a convolution's output. Each bias is corrected by that shift,
@@ -191,7 +191,7 @@ def _after(graph: onnx.GraphProto, names: set[str]) -> set[str]:
 
 
 def _prepared(model: onnx.ModelProto, folder: Path) -> onnx.ModelProto:
-    """A copy with folded batch norms, shapes, an operator set for scales per channel, and a bias per convolution."""
+    """A copy with folded batch norms, inferred shapes, an opset with scales per channel, a bias per convolution."""
     if max(entry.version for entry in model.opset_import if entry.domain in ("", "ai.onnx")) < _PER_CHANNEL_OPSET:
         model = onnx.version_converter.convert_version(model, _PER_CHANNEL_OPSET)
     source, target = folder / "source.onnx", folder / "prepared.onnx"

@@ -119,8 +119,8 @@ class Teacher:
         class_id = map_to_road_classes(names)
         if network.n_classes != len(names) or not np.isin(class_id, road_class_id).any():
             raise ModelError(
-                f"{path}: expected a teacher with class names, of which some are classes to train; got "
-                f"{network.n_classes} classes and {len(names)} names."
+                f"{path}: expected a teacher whose class names include classes to train; got {network.n_classes} "
+                f"classes and {len(names)} names."
             )
         self.name = path.name
         self.network = placed(network, torch.device(device))

@@ -166,8 +166,8 @@ class Training:
                 raise
             batch = min(self._settings.batch_size, len(self._sets.train))
             raise TrainingError(
-                f"out of memory with --batch {batch}; restart in another --out with --batch {max(batch // 2, 1)} or a "
-                f"smaller --size{self._start_hint()}."
+                f"out of memory with --batch {batch}; restart with another --out and with --batch {max(batch // 2, 1)} "
+                f"or a smaller --size{self._start_hint()}."
             ) from error
 
     def scores(self, listener: Listener | None = None) -> DetectionScores:
@@ -239,7 +239,7 @@ class Training:
             total = {name: total.get(name, 0.0) + float(loss.detach()) for name, loss in losses.items()}
             if not np.isfinite(list(total.values())).all():
                 raise TrainingError(
-                    f"the loss became NaN or infinite in epoch {epoch + 1}; restart in another --out with a lower "
+                    f"the loss became NaN or infinite in epoch {epoch + 1}; restart with another --out and a lower "
                     f"--learning-rate or --precision float32{self._start_hint()}."
                 )
             listener.step(epoch, done, n, losses)

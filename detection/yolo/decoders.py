@@ -108,7 +108,7 @@ class Part:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoxRows:
-    """N boxes in the outputs. score = activation(objectness) * activation(class score); 1 without objectness."""
+    """N boxes in the outputs. score = activation(objectness) * activation(class score); 1 without an objectness."""
 
     boxes: Part
     scores: Part
@@ -122,7 +122,7 @@ class BoxRows:
 
 
 def decode_rows(levels: Sequence[BoxRows], outputs: Sequence[FloatArray32], min_score: FloatArray) -> Candidates:
-    """Candidates of all levels, for each the rows of one grid."""
+    """Candidates of all levels; each level has the rows of one grid."""
     boxes, scores, cells = [], [], []
     lowest = float(min_score.min())
     threshold = {"none": lowest, "sigmoid": logit(lowest), "softmax": -np.inf}
@@ -180,19 +180,19 @@ class GridCells:
 
 
 def corners(unit_xy: tuple[float, float] = (1.0, 1.0)) -> BoxCode:
-    """Left, top, right, bottom in a unit of so many pixels: 1, or the size of the input."""
+    """Left, top, right, bottom in units of `unit_xy` pixels: 1, or the size of the input."""
     scale = np.array([*unit_xy, *unit_xy], np.float64)
     return lambda numbers, _: numbers * scale
 
 
 def rows_first(unit_xy: tuple[float, float]) -> BoxCode:
-    """Top, left, bottom, right in a unit of so many pixels."""
+    """Top, left, bottom, right in units of `unit_xy` pixels."""
     code = corners(unit_xy)
     return lambda numbers, rows: code(numbers[:, [1, 0, 3, 2]], rows)
 
 
 def centres(unit_xy: tuple[float, float] = (1.0, 1.0)) -> BoxCode:
-    """Centre x, y, width, height in a unit of so many pixels."""
+    """Centre x, y, width, height in units of `unit_xy` pixels."""
     scale = np.array([*unit_xy, *unit_xy], np.float64)
     return lambda numbers, _: xyxy_from_cxcywh(numbers * scale)
 

@@ -202,11 +202,11 @@ class YoloDetector:
         if first.n_checked >= N_IMAGES and not first.n_detected:
             notes.append(
                 f"{name} detected nothing of any class on the first {N_IMAGES} images; if they show road users, the "
-                "input or the outputs of the model are interpreted wrongly (`track-range models info --image`)."
+                "input or the outputs of the model are interpreted wrongly: see `track-range models info --image`."
             )
         if self.n_invalid:
             boxes = "1 box" if self.n_invalid == 1 else f"{self.n_invalid} boxes"
-            notes.append(f"The network returned NaN, infinite numbers or unknown labels; {boxes} ignored.")
+            notes.append(f"The network returned NaN, infinite numbers or unknown labels: {boxes} ignored.")
         return tuple(notes)
 
     def restart(self) -> None:

@@ -75,7 +75,7 @@ def _rows_of(output: int, box: int, score: int, label: int, code: decoders.BoxCo
 
 
 def labelled_rows(network: NetworkOutputs) -> Iterator[YoloModel]:
-    """Readings of [1, N, 6], [N, 6] and [.., 7]: few rows, or any number of rows, or `end2end` in the metadata."""
+    """Readings of [1, N, 6], [N, 6] and [.., 7]: few rows, or any number with `end2end` in the metadata."""
     is_marked = network.metadata.get("end2end", False, "").value
     if network.metadata.get("head", None, "").value == RT_DETR_DESCRIPTION:
         return

@@ -1,8 +1,8 @@
 """The choice between readings of a network's outputs, and the check of its boxes, on the first images.
 
-A right reading gives boxes inside of the image, near their grid cells, of which neighbouring cells agree on the size. A
-wrong one gives boxes of less than two pixels (fractions taken as pixels), beyond the image (pixels taken as fractions),
-or of negative size (centres taken as corners).
+The right reading gives boxes inside the image, near their grid cells, and neighbouring cells agree on their size. A
+wrong reading gives boxes of less than two pixels (fractions taken as pixels), beyond the image (pixels taken as
+fractions), or of negative size (centres taken as corners).
 """
 
 from collections.abc import Sequence
@@ -91,7 +91,7 @@ class FirstImages:
             )
         elif is_last:
             self.chosen = (possible or readings)[0].name
-            self.why = "this layout is usual for these shapes; the first images have too few boxes to compare others"
+            self.why = "this layout is usual for these shapes; too few boxes in the first images to compare others"
         return ranked[0] if is_clear else (possible or readings)[0]
 
     def check(self, reading: YoloModel, outputs: Sequence[FloatArray32], input_hw: tuple[int, int]) -> None:
@@ -123,7 +123,7 @@ def _candidates(reading: YoloModel, outputs: Sequence[FloatArray32]) -> Candidat
 
 
 def _are_inside(xyxy_net: FloatArray, input_hw: tuple[int, int]) -> BoolArray:
-    """(N,) whether boxes are inside of the input, within a margin, and not too small."""
+    """(N,) whether boxes are inside the input, within a margin, and not too small."""
     size = xyxy_net[:, 2:] - xyxy_net[:, :2]
     limit = np.array(input_hw[::-1], np.float64)
     is_inside = (xyxy_net[:, :2] >= -_BORDER * limit) & (xyxy_net[:, 2:] <= (1 + _BORDER) * limit)

@@ -54,17 +54,17 @@ class NetworkOutputs:
         return float(self.input_hw[1]), float(self.input_hw[0])
 
     def n_cells(self, strides_px: Sequence[int], *, is_rounded_up: bool = False) -> int:
-        """Total number of grid cells of the input at these strides; the last ones may lie beyond it if rounded up."""
+        """Total number of grid cells of the input at these strides; if rounded up, the last ones may lie outside."""
         height, width = (-side if is_rounded_up else side for side in self.input_hw)
         return sum((height // stride) * (width // stride) for stride in strides_px)
 
     def grid_strides(self, n: int, per_cell: int = 1, *, is_rounded_up: bool = False) -> tuple[int, ...] | None:
-        """Strides of the grids that have so many boxes in total, `per_cell` boxes for each cell; None if none have."""
+        """Strides of the grids that have `n` boxes in total, `per_cell` for each cell; None if no grids have."""
         counts = {self.n_cells(strides, is_rounded_up=is_rounded_up): strides for strides in STRIDES_PX[::-1]}
         return counts.get(n // per_cell) if n % per_cell == 0 else None
 
     def is_grid(self, n_rows: int) -> bool:
-        """Whether grids with one or three boxes for each cell have so many boxes."""
+        """Whether grids with one or three boxes for each cell have `n_rows` boxes."""
         return self.grid_strides(n_rows) is not None or self.grid_strides(n_rows, 3) is not None
 
     def matrices(self) -> Iterator[tuple[int, int, int]]:
@@ -81,6 +81,6 @@ class NetworkOutputs:
 
     @property
     def n_keypoints(self) -> int:
-        """Number of values of a box's keypoints, from Ultralytics' metadata; 0 without."""
+        """Number of values of a box's keypoints, from Ultralytics' metadata; 0 if there are none."""
         shape: tuple[int, ...] = self.metadata.get("kpt_shape", (0,), "").value
         return math.prod(shape)

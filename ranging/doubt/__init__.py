@@ -1,1 +1,1 @@
-"""Doubt about what the user gave, by everything in a drive that has a scale."""
+"""Doubt about values that the user gave, from everything in a drive that has a scale."""

@@ -9,15 +9,15 @@ height over the expected one, f of the focal length and u of the given speed.
     log height by the given speed over the motion of the road        = h - f + u    one camera
     log speed by stereo odometry - log given speed                   = g + f - u
     log height by the usual width of the lane, from its lines        = h
-    log focal length - that by the shapes of vehicles' boxes         = f
+    log focal length - log f by the shapes of vehicles' boxes        = f
     log of an impossible speed by stereo odometry over the largest   < g + f
 
-Every unknown has a prior: a the deviation of the region, h a usual or the given height, g, f and u the precision of
-calibrations and receivers. Because all unknowns are estimated together, a scale learnt from one of them cannot correct
-another in circles. One hypothesis is that all priors hold; in each other hypothesis, one unknown is a mistake and has
-no prior. The scale is in doubt if such a hypothesis fits better by `_DOUBTFUL`, the 3 sigma of one free parameter; all
-hypotheses that fit nearly as well are named, weighed by how common such a mistake is (`prior_cost`). A usual height and
-a usual lane have heavy tails, and alone exclude nothing: there are lorries and robots.
+Every unknown has a prior: for a, the deviation of the region; for h, a usual or the given height; for g, f and u, the
+precision of calibrations and receivers. Because all unknowns are estimated together, a scale learnt from one of them
+cannot correct another in circles. One hypothesis is that all priors hold; in each other hypothesis, one unknown is a
+mistake and has no prior. The scale is in doubt if such a hypothesis fits better by `_DOUBTFUL`, the 3 sigma of one free
+parameter; all hypotheses that fit nearly as well are named, weighed by how common such a mistake is (`prior_cost`). A
+usual height and a usual lane have heavy tails, and alone exclude nothing: there are lorries and robots.
 """
 
 import itertools
@@ -144,9 +144,9 @@ class ScaleCheck:
     ) -> None:
         """Start without evidence, for the left `camera` of a pair with a calibrated baseline; None = one camera.
 
-        `height_m` is a given height above the road, None = a usual one; `road_height_m` that with which the motion of
-        the road is measured. `focal_sigma` is relative, 0 = calibrated; `sizes` have the shapes of vehicles, which
-        measure such a focal length. Without the usual width of the lane, lane lines are not used.
+        `height_m` is a given height above the road, None = a usual one; `road_height_m` is the height with which the
+        motion of the road is measured. `focal_sigma` is relative, 0 = calibrated; `sizes` have the shapes of vehicles,
+        which measure such a focal length. Without the usual width of the lane, lane lines are not used.
         """
         self.baseline_m, self._camera, self._lane = baseline_m, camera, lane
         self._height_m = height_m or _HEIGHT_M
@@ -217,7 +217,7 @@ class ScaleCheck:
         """Messages for the user so far."""
         spans = ", ".join(f"{start:.1f} to {end:.1f} s" for start, end in self._past_s)
         past = (
-            (f"The scale was in doubt from {spans}: sigmas are wider in this time, and no alarms are given.",)
+            (f"The scale was in doubt from {spans}: during this time, sigmas are wider and no alarms are given.",)
             if spans
             else ()
         )
@@ -328,7 +328,7 @@ class ScaleCheck:
         return ScaleDoubt(factor, sigma, n_objects, near, names)
 
     def _fitted(self, evidence: list[Evidence], priors: FloatArray) -> _Solution:
-        """The best solution, with standard deviations (5,) of the priors; an unusual height or lane has a price."""
+        """The best solution, with standard deviations (5,) of the priors; an unusual height or lane adds a cost."""
         unusual = priors.copy()
         unusual[_HEIGHT] = _FREE_SIGMA
         heights = [(priors, 0.0)] if self._has_height else [(priors, 0.0), (unusual, _TAILS)]

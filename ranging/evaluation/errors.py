@@ -122,7 +122,7 @@ def score_rows(column: MethodColumn, true_m: FloatArray, rows: BoolArray) -> dic
 
 
 def score_closing(closing_mps: FloatArray, sigma_mps: FloatArray, true_mps: FloatArray) -> dict[str, Any] | None:
-    """Errors of (N,) closing speeds in m/s over the rows with a true one; None if there is no such row."""
+    """Errors of (N,) closing speeds in m/s over the rows with a true speed; None if there is no such row."""
     rows = np.isfinite(true_mps)
     if not rows.any():
         return None

@@ -93,8 +93,8 @@ def _of_table(path: Path, camera: PinholeCamera) -> Truth:
     distance_m = np.where(_is_cut(table.xyxy_px, camera) | (table.distance_m <= 0), np.nan, table.distance_m)
     if np.isfinite(distance_m).any():
         origin = (
-            f"{path.name}: the true distances are read from the labels; in an export of a run, they are only the "
-            "distances of that run."
+            f"{path.name}: the true distances are read from the labels; in an export of a run, these are the measured "
+            "distances, not ground truth."
         )
     else:
         origin = f"{path.name}: the labels have no distances, so only the tracks are evaluated."

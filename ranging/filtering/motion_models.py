@@ -8,7 +8,7 @@
 
 (Magill, Optimal adaptive estimation, 1965; Blom and Bar-Shalom, 1988, without the mixing of states.) The prior belongs
 to the class in the drive: the time that its tracks have spent in each model, beside 10 s of the first prior. So a queue
-has another one than a motorway. Without ego speed there is no static model. Constants without a source were chosen on
+has another prior than a motorway. Without ego speed there is no static model. Constants without a source were chosen on
 13 of KITTI's tracking sequences.
 """
 

@@ -23,7 +23,7 @@ _HUBER_SCALE = 0.1  # residual of log d beyond which the loss is linear: 10 % of
 STANDARD_HEIGHTS_M: Mapping[str, tuple[float, float, str]] = {  # m, relative sigma and source, without labels
     "motorcycle": (1.55, 0.15, "a motorcycle with its rider, 1.3-1.8 m"),
     "bus": (3.1, 0.12, "city buses 2.9-3.3 m, coaches up to 3.8 m, minibuses 2.5 m"),
-    "traffic light": (0.95, 0.35, "three lamps of 200 or 300 mm with housing, 0.8-1.1 m; some have one, two or four"),
+    "traffic light": (0.95, 0.35, "three lamps of 200 or 300 mm with housing, 0.8-1.1 m; sometimes 1, 2 or 4 lamps"),
     "traffic sign": (0.70, 0.30, "round and octagonal signs of 600-900 mm"),
 }
 

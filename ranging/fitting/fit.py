@@ -87,7 +87,7 @@ def fit_sizes(settings: FitSettings) -> FittedSizes:
 
 def _check(settings: FitSettings) -> None:
     if (settings.labels is None) == (settings.csv is None):
-        raise UsageError("expected either --labels with --calib or --csv.")
+        raise UsageError("expected either --labels and --calib, or --csv.")
     if settings.labels is not None and settings.calib is None and not settings.labels.is_file():
         raise UsageError("--labels requires --calib, the folder of calibration files with the focal lengths.")
     if settings.out is None and not settings.compare and settings.picture is None:
@@ -102,7 +102,7 @@ def _boxes(settings: FitSettings) -> tuple[BoxSet, tuple[str, ...]]:
     if settings.csv is not None:
         boxes, notes = read_box_csv(settings.csv, focal_px=settings.focal_px)
     elif settings.labels is None:
-        raise UsageError("expected either --labels with --calib or --csv.")
+        raise UsageError("expected either --labels and --calib, or --csv.")
     elif settings.calib is not None:
         boxes, notes = box_set(settings.labels, settings.calib), ()
     else:

@@ -5,10 +5,10 @@ An object at the distance d with the size s in the image has s ~ 1 / d, so that 
 
     T = d / -d' = s / s'
 
-The filter of distances (`distance_filter`) estimates it: with d = 1 / s in the unit in which objects of the class have
-their typical size, from two measurements: the size of the box in every frame, and the growth of its patch in the images
-since a key frame (`patch_scale`), which is tens of times as precise. The typical size and the focal length only set
-what changes of speed are likely. The growth is also a measurement for the filters of distances (`Ranges.growth`).
+The filter of distances (`distance_filter`) estimates T, with d = 1 / s in the unit in which objects of the class have
+their typical size. It has two measurements: the size of the box in every frame, and the growth of its patch in the
+images since a key frame (`patch_scale`), which is tens of times as precise. The typical size and the focal length only
+set what changes of speed are likely. The growth is also a measurement for the filters of distances (`Ranges.growth`).
 """
 
 import numpy as np

@@ -201,7 +201,7 @@ class GroundPlane:
     def add_horizon(self, y_px: float, sigma_px: float) -> None:
         """Add the row at which lane lines meet as a measurement of the horizon, which decays like a track's.
 
-        It is ignored where it contradicts image motion: what was detected are not lines of a lane.
+        It is ignored where it contradicts image motion: the detected lines are then not lines of a lane.
         """
         self._drop_forgotten(is_present=False)
         self._lane_terms = np.zeros((_N, _N + 1))

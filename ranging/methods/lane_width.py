@@ -62,7 +62,7 @@ _WIDTHS_M: Mapping[Region, tuple[float, float]] = {
 
 Germany: 2.75 to 3.25 m in towns, 3.5 m, 3.5 and 3.75 m on motorways (RASt 06, RAL 2012, RAA 2008); USA: 10 to 12 ft,
 12 ft on freeways (AASHTO, A Policy on Geometric Design of Highways and Streets, 2018); Japan: 2.75 to 3.5 m (Road
-Structure Ordinance); China: 3.5 m, 3.75 m from 80 km/h (JTG B01-2014). Roads without shoulders have wider ones: 4.2 m
+Structure Ordinance); China: 3.5 m, 3.75 m from 80 km/h (JTG B01-2014). Roads without shoulders have wider lanes: 4.2 m
 on KITTI 0005.
 """
 
@@ -108,9 +108,9 @@ class LaneWidthRanger(Ranger):
     ) -> None:
         """Create a ranger for `camera` (undistorted).
 
-        `width_m` is the lane width W between the centre lines of the markings, None = usual in the region; its relative
-        standard deviation is `width_sigma`. `width_from` is the method that it is learnt from, None = it is fixed.
-        `has_visible_boxes`: boxes end at the tyres, as a detector's boxes do, within `box_sigma_px`.
+        `width_m` is the lane width W between the centre lines of the markings, None = the usual width of the region;
+        its relative standard deviation is `width_sigma`. `width_from` is the method that it is learnt from, None = it
+        is fixed. `has_visible_boxes`: boxes end at the tyres, as a detector's boxes do, within `box_sigma_px`.
         """
         self._camera = camera
         self._box_sigma_px = box_sigma_px

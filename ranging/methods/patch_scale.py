@@ -108,7 +108,7 @@ class _Pyramid:
     def sampled(
         self, centre_px: FloatArray, extent_px: FloatArray, level: IntArray, points: IntArray
     ) -> tuple[FloatArray32, BoolArray]:
-        """(N, P) values of patches (N, 2) with half extents (N, 2) in px of the image, and which points are in it.
+        """(N, P) values of patches (N, 2) with half extents (N, 2) in px of the image, and which points are inside.
 
         `points` (P,) are indices of points of the grid.
         """

@@ -55,7 +55,7 @@ class Triangulation:
 def disparities_by_size(
     by_size: Ranges, xyxy_px: FloatArray, rig: StereoRig, image_hw: tuple[int, int]
 ) -> ExpectedDisparity:
-    """Disparities of boxes (N, 4) that their distances by size let expect, in images of (height, width) `image_hw`."""
+    """Disparities of boxes (N, 4) expected from their distances by size, in images of (height, width) `image_hw`."""
     height, width = image_hw
     border_px = np.array([1.0, 1.0, width - 2.0, height - 2.0]) + np.array([1.0, 1.0, -1.0, -1.0]) * _BORDER_PX
     is_cut = (xyxy_px[:, :2] < border_px[:2]).any(axis=1) | (xyxy_px[:, 2:] > border_px[2:]).any(axis=1)

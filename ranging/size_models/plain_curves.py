@@ -87,8 +87,8 @@ class _RawFitter:
     def safe(self, wh_over_f: FloatArray, bearing: FloatArray, distance_m: FloatArray) -> FittedTable:
         """The curve within the fitted sizes, constant where it would increase; d = const / s outside.
 
-        Distances are between half the smallest and twice the largest fitted one. The table spans the central 99 % of
-        the sizes, so that it does not depend on single boxes at either end.
+        Distances are between half the smallest and twice the largest fitted distance. The table spans the central 99 %
+        of the sizes, so that it does not depend on single boxes at either end.
         """
         size = self.measure(wh_over_f)
         low, high = np.log(np.quantile(size, [0.005, 0.995]))

@@ -9,7 +9,7 @@ of prior and likelihood is evaluated on a grid of log d.
 
 The reported distance has the smallest expected relative error: it is the median under p(log d) / d. Sigma is half the
 width of the central 68 %, or half the distance to the farther end of the central 95 % if it is larger: a second body
-type that is likely enough widens it, an unlikely one does not.
+type widens sigma if it is likely enough.
 """
 
 from __future__ import annotations

@@ -141,7 +141,7 @@ class ShapeTables:
         ).T
 
     def at(self, body: IntArray, bearing: FloatArray, log_m: FloatArray) -> tuple[FloatArray, FloatArray, Nodes]:
-        """Bearing (N,) and log distance (M, N) of N boxes of M body types relative to the nearest nodes, and these.
+        """Bearing (N,) and log distance (M, N) of N boxes of M body types relative to the nearest nodes, and the nodes.
 
         `bearing` (N,) is |tan bearing|, `log_m` (M, N) within `NODE_RANGE`.
         """

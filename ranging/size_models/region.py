@@ -13,7 +13,7 @@ _AREAS: tuple[tuple[Region, float, float, float, float], ...] = (
 
 
 def region_at(latitude_deg: float, longitude_deg: float) -> Region:
-    """The region of a position in degrees (WGS 84); "unknown" outside the known ones."""
+    """The region of a position in degrees (WGS 84); "unknown" outside the known regions."""
     for region, south, north, west, east in _AREAS:
         if south <= latitude_deg <= north and west <= longitude_deg <= east:
             return region

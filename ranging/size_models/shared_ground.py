@@ -110,7 +110,7 @@ def ground_from_others(
 def _prior_information(prior: GroundPrior, y0: float, drive: DriveState) -> FloatArray:
     """(5,) terms (a, b, c, u, v) of `solve_ground` before the frame: of the prior and the earlier objects of the drive.
 
-    The prior's variance of y0 is the variance of Student's t at `y0`. Since the earlier objects the pitch has changed.
+    The prior's variance of y0 is the variance of Student's t at `y0`. The pitch changes after the earlier objects.
     """
     scale = (2.0 + ((y0 - prior.horizon) / prior.horizon_sigma) ** 2) / 3.0
     of_y0, of_H = 1.0 / (prior.horizon_sigma**2 * scale), prior.camera_height_sigma_m**-2

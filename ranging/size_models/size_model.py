@@ -11,8 +11,8 @@ that objects seen before contribute to the objects of the frame. The size error 
 frames: an object counts once, with the mean of its normal equations over its frames, and only after it has left; while
 it is in view it counts with its present measurement.
 
-The body type of an object (`BodyType`) is the same in all of its frames, too. Its shape errors are, so that the log
-likelihoods of its views are averaged, not summed.
+The body type of an object (`BodyType`) is the same in all of its frames, too. So are its shape errors; therefore the
+log likelihoods of its views are averaged, not summed.
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ _ABUTS_PX, _ABUTS_FRACTION = 2.0, 0.1  # distance within which two edges abut: p
 def have_hidden_sides(xyxy_px: FloatArray) -> BoolArray:
     """(N,) whether the left or right side of boxes (N, 4) of a frame lies in a nearer box, or abuts on one.
 
-    Boxes that end lower in the image are nearer. Those that hide a side cover its lower half, where objects are widest.
+    Boxes that end lower in the image are nearer. Boxes that hide a side cover its lower half, where objects are widest.
     """
     x1, y1, x2, y2 = xyxy_px.T[:, :, None]
     left, top, right, bottom = xyxy_px.T

@@ -68,7 +68,7 @@ _BESIDE_S = 4.0  # longest time since a vehicle was beside the path for a cut-in
 _MIN_CUT_IN_SPEED_MPS = 5.0  # smallest ego speed of an alarm for a cut-in, m/s; below, vehicles merge closely in queues
 
 _CALIBRATION = (-1.2, 1.8)
-"""Offset and slope of the calibrated logit: of motion without reaction, fewer contacts happen than are predicted.
+"""Offset and slope of the calibrated logit: even without a reaction, fewer contacts happen than the motion predicts.
 
 Fitted on drives without images (seeds 0 to 7, fused: 1.9 h of harmless driving, 0.27 h with contacts) and on rendered
 drives (30 of the seeds 0 to 29, stereo), for the smallest error of the reliability diagram above 0.1 on the worse of

@@ -58,7 +58,7 @@ class SafetyMeasures:
         drac_mps2: deceleration that avoids a contact.
         mdrac_mps2: the same after the reaction time.
         tet_s: time with a TTC below `TTC_LIMIT_S`, of the track so far.
-        tit_s2: integral of what the TTC was below it.
+        tit_s2: integral of the time by which the TTC was below this limit.
         lane_index: -1 = lane to the left, 0 = ego lane, 1 = to the right; of all tracks, NaN = beyond these.
         lane_index_sigma: its standard deviation.
         is_lead: whether it is the next vehicle ahead on the path.
@@ -167,11 +167,11 @@ def _lane_index(
 def post_encroachment_s(
     ego: FloatArray, track: FloatArray, *, half_width_m: float, settings: WarningSettings | None = None
 ) -> float:
-    """PET of a track whose path crosses the ego path; NaN = no crossing, or one of both did not pass it.
+    """PET of a track whose path crosses the ego path; NaN = no crossing, or one of the two did not pass it.
 
     `ego` (M, 3) and `track` (N, 3) are times in s with positions in m in the frame `map`, of the camera and of the
     object's middle, in the order of time. The place of the encounter is where the track is nearer to the ego path than
-    `half_width_m` and half of the ego vehicle; that is there from its front to its rear.
+    `half_width_m` and half of the ego vehicle; the ego vehicle is there from its front to its rear.
     """
     settings = settings or WarningSettings()
     step = np.hypot(*np.diff(ego[:, 1:], axis=0).T)

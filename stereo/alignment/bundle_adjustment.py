@@ -6,9 +6,9 @@
 
 Motion alone gives depths up to a scale, disparity alone up to the error; with near and far points observed from several
 positions, the error is the intercept of the disparity as a function of the inverse depth from motion. Points fixed at
-their triangulated positions would bias it by their noise, so points are unknowns too. Solved by Levenberg-Marquardt,
-with the points eliminated by the Schur complement (Triggs et al. 2000, "Bundle adjustment: a modern synthesis", section
-6), and Cauchy weights, which suppress moving objects and bad tracks.
+their triangulated positions would bias it by their noise, so points are unknowns too. The solver is
+Levenberg-Marquardt, with the points eliminated by the Schur complement (Triggs et al. 2000, "Bundle adjustment: a
+modern synthesis", section 6), and Cauchy weights, which suppress moving objects and bad tracks.
 """
 
 from __future__ import annotations

@@ -68,7 +68,7 @@ class DriveAlignment:
 
     @property
     def is_full(self) -> bool:
-        """Whether the drive has enough frames; further frames of it are ignored."""
+        """Whether the drive has enough frames; its further frames are ignored."""
         return self._n_segments_left <= 0 or self._n_frames_left <= 0
 
     @property
@@ -100,7 +100,7 @@ class DriveAlignment:
         self.add_points(self._tracks.add(frame.left, whole_image(frame.right), frame.time_s))
 
     def add_points(self, frame: TrackedFrame) -> None:
-        """Add the points of the next frame; `add` without the images."""
+        """Add the points of the next frame, as `add` does with its images."""
         self._last_s = frame.time_s
         self._n_frames_left -= 1
         self._matched.append(frame.points)

@@ -1,4 +1,4 @@
-"""RigHealth: the distance errors that a measured alignment means, before and after its correction, and its drift.
+"""RigHealth: the distance errors that follow from a measured alignment, before and after its correction, and its drift.
 
     Z_measured / Z = d / (d - e(u))          d = f B / Z: true disparity, e(u) = d_true - d_measured at the column u
 

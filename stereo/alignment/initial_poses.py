@@ -43,7 +43,7 @@ _MIN_DEPTH_FRACTION = 0.3  # minimum ratio of a point's depths in frame 0 and wh
 
 
 class InitialBundle(NamedTuple):
-    """Usable observations, renumbered, their initial bundle, and the support of its motion, see `_support`."""
+    """Usable observations (renumbered), their initial bundle, and the support of its motion (see `_support`)."""
 
     observed: Observations
     bundle: Bundle

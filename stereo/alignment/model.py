@@ -84,7 +84,7 @@ class Alignment:
         return np.asarray(self.offset_px + self.slope_px * u + self.curvature_px * u**2)
 
     def at(self, time_s: float) -> Alignment:
-        """The alignment at a time: constant."""
+        """This alignment, at every time."""
         return self
 
     @property
@@ -133,7 +133,7 @@ class Alignment:
         return {KEYS.get(name, name): value for name, value in asdict(self).items()}
 
     def sentence(self, *, correction: str = "corrected") -> str:
-        """The alignment and its effect, as one sentence for users, with what happens where it corrects disparities."""
+        """The alignment and its effect as one sentence for users; `correction` ends it if disparities are corrected."""
         if self.is_correcting:
             offset, curvature = ("too small" if px >= 0 else "too large" for px in (self.offset_px, self.curvature_px))
             error = f"{abs(self.offset_px):.2f} ± {self.offset_sigma_px:.2f} px {offset}"

@@ -1,9 +1,9 @@
-"""PairEvidence: what features of the first pairs show about how the right images lie to the left ones.
+"""PairEvidence: what features of the first pairs show about the relative position of left and right images.
 
 Features (ORB) are matched between left and right, also with the right image mirrored, and between successive left
 images. The disparities d of the matches are compared with inverse depths r from the motion of the left camera:
 
-    r = beta (d - o)        beta > 0: as in the rig, with an error o of all disparities, as of a wrong vergence
+    r = beta (d - o)        beta > 0: as in the rig, with an error o of all disparities, such as a wrong vergence
                             beta < 0: left and right are exchanged
 
 The error o is the one that most points of all steps agree with; points are in front of the camera, so that r >= 0.
@@ -231,7 +231,7 @@ class PairEvidence:
         return view, is_used, replace(view, yaw_deg=0.0).corrected(right_px, self._camera)
 
     def _is_late(self) -> bool:
-        """Whether one side repeats its images, or left images agree better with right ones of other pairs."""
+        """Whether one side repeats its images, or left images agree better with right images of other pairs."""
         n = self.n_pairs
         moves = [[_flow_px(one[i], one[i + 1]) for one in (self._lefts, self._rights)] for i in range(n - 1)]
         n_repeated = sum(min(move) < _REPEATED_PX and max(move) > _MIN_FLOW_PX for move in moves)
@@ -290,7 +290,7 @@ def _support(inverse_depth: FloatArray, parallax_px: FloatArray, disparity_px: F
 
 
 def _flow_px(first: _Features, second: _Features) -> float:
-    """Median motion of the matching features; 0 without."""
+    """Median motion of the matching features; 0 if there are none."""
     a, b = _matches(first, second)
     return float(np.median(np.linalg.norm(second.xy_px[b] - first.xy_px[a], axis=1))) if len(a) else 0.0
 

@@ -67,7 +67,7 @@ class PairFinding:
     prior: Alignment = NOT_MEASURED  # correction of the images with which the alignment starts
 
     def uncorrected(self, why: str = GIVEN) -> PairFinding:
-        """The finding in a run that shifts no images: without stereo, if they need it; `why` ends the sentence."""
+        """The finding in a run that shifts no images: no stereo if the pair needs a shift; `why` ends the sentence."""
         if self.fault != "verged":
             return self
         return replace(self, fault="refused", sentence=self.sentence.replace(CORRECTED, why))
@@ -85,7 +85,7 @@ def find_fault(figures: PairFigures, rig: StereoRig) -> PairFinding:
         return PairFinding("unsteady")
     n_tracked = figures.n_tracked * figures.n_pairs
     if n_agreeing < _MAX_UNRELATED * min(n_tracked, 2 * figures.n_matches) and figures.n_tracked >= _MIN_TRACKED:
-        few = f"{_pct(n_agreeing / figures.n_matches)} of {figures.n_matches} points that match are in consistent rows"
+        few = f"{_pct(n_agreeing / figures.n_matches)} of {figures.n_matches} matching points are in consistent rows"
         if figures.n_matches > _MAX_CHANCE * n_tracked:
             return _refused(
                 f"{few}: the rig belongs to other cameras, a camera has turned, or left and right images are from "
@@ -150,7 +150,7 @@ def _exchange(figures: PairFigures, rig: StereoRig) -> tuple[bool | None, bool |
 
 
 def _best(figures: PairFigures, rig: StereoRig) -> Motion | None:
-    """The motion with or without the yaw that rows show: a small one must explain the disparities better."""
+    """The motion with or without the yaw that rows show; a small yaw must explain the disparities better."""
     plain, turned, yaw_deg = figures.motion, figures.turned_motion, abs(figures.view.yaw_deg)
     if plain is None or turned is None or yaw_deg < _MIN_YAW_DEG or turned.n_steps < _MIN_STEPS:
         return plain
@@ -197,7 +197,7 @@ def _negative(figures: PairFigures, rig: StereoRig) -> str:
     if motion is None:
         return text
     own, other = _pct(motion.support), _pct(motion.exchanged_support)
-    return f"{text}, and their motion fits swapped videos at {other} of the points, a turned camera at {own}"
+    return f"{text}, and their motion fits swapped videos ({other} of the points) or a turned camera ({own})"
 
 
 def _verged(figures: PairFigures, rig: StereoRig) -> PairFinding:
@@ -228,8 +228,8 @@ def _verged(figures: PairFigures, rig: StereoRig) -> PairFinding:
         source=f"the first {figures.n_pairs} pairs",
     )
     support = (
-        f"motion fits at {_pct(motion.support)} of {motion.n_points} points, swapped videos at "
-        f"{_pct(motion.exchanged_support)}"
+        f"{_pct(motion.support)} of {motion.n_points} points move as this explains, {_pct(motion.exchanged_support)} "
+        "as in swapped videos"
     )
     return PairFinding("verged", f"The rig does not fit these images: {what} ({support}); {CORRECTED}", prior)
 

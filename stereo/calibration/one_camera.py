@@ -6,7 +6,7 @@ Wide lenses are fitted by `fisheye_fit.py`.
 
 Views with outlying residuals are rejected, worst first. The errors of the corners in a view are correlated (a board
 that is not flat, a blurred image), so standard deviations come from leaving out views. The scatter of the corners alone
-gives a third of them on real photographs:
+gives a third of these deviations on real photographs:
 
     sigma^2 = (G - 1) / G * sum over groups g of (theta_without_g - mean)^2        (delete-a-group jackknife)
 """
@@ -215,7 +215,7 @@ def check_determined(std: IntrinsicStd, camera: PinholeCamera) -> None:
 def without_outliers(
     views: Sequence[T], residuals_px: Callable[[list[T]], list[float]], name_of: Callable[[T], str]
 ) -> tuple[list[T], tuple[RejectedView, ...]]:
-    """The views (or pairs) without outliers, and these, worst first; `residuals_px` fits some and gives their RMS."""
+    """The views (or pairs) without outliers, and the outliers, worst first; `residuals_px` gives RMS residuals."""
     used, rejected = list(views), []
     while len(used) > min_used(len(views)):
         rms_px = np.array(residuals_px(used))
@@ -228,7 +228,7 @@ def without_outliers(
 
 
 def min_used(n_views: int) -> int:
-    """Minimum number of views that are used of `n_views`."""
+    """Minimum number of views to use, out of `n_views`."""
     return max(MIN_VIEWS, round(_MIN_FRACTION_USED * n_views))
 
 

@@ -1,8 +1,8 @@
 """Calibration of two cameras: pairs of views of one board -> StereoRig (OpenCV's stereoCalibrate).
 
 Each camera is calibrated alone first, which gives initial values and reveals bad views; then the intrinsics of both
-cameras, their relative pose and the poses of the board are optimised together; wide lenses by `fisheye_fit.py`. The row
-error is also evaluated on pairs held out of the fit:
+cameras, their relative pose and the poses of the board are optimised together. Wide lenses are fitted by
+`fisheye_fit.py`. The row error is also evaluated on pairs held out of the fit:
 
     dy = | y_left - y_right | of a corner in the rectified images, 0 for a perfect rig
 """
@@ -204,7 +204,7 @@ def _without_moved_boards(
         if not ratios[worst] > _MOVED_RATIO:
             break
         row = used.pop(worst)
-        reason = f"board moved between the images: residual {fits[worst].rms_px:.2f} px, alone {alone_px[row]:.2f} px"
+        reason = f"board moved between the images: residual {fits[worst].rms_px:.2f} px ({alone_px[row]:.2f} px alone)"
         rejected.append(RejectedView(pairs[row][0].name, reason))
     return [pairs[i] for i in used], tuple(rejected)
 

@@ -5,7 +5,7 @@
                  check or speckle filter
     disagreeing  fraction of pixels in the inner half without a disparity or more than `NEAR` away from the median
     left_right   fraction of pixels in the inner half without a disparity, or whose disparity differs by more than
-                 `MAX_DIFFERENCE_PX` from the matched pixel's in the right image's disparities
+                 `MAX_DIFFERENCE_PX` from the disparity of the matched pixel in the right image
 
 All are uncertainties: larger = less certain. (Poggi et al., "On the confidence of stereo matching in a deep-learning
 era", PAMI 2022, compares measures of single pixels.) Margins of costs are not among them, since OpenCV does not return

@@ -24,7 +24,7 @@ _HALVED_PX = {(640, 720), (960, 1080), (1280, 1440), (1296, 1944), (1920, 2160)}
 
 
 def pixel_aspect_of(size_px: tuple[int, int], stated: float | None) -> float:
-    """Width / height of the pixels of recorded images, by what their file states (None = nothing) and their size."""
+    """Width / height of the pixels of recorded images, from what their file states (None = nothing) and their size."""
     return 2.0 if stated in (None, 1.0) and size_px in _HALVED_PX else stated or 1.0
 
 
@@ -86,7 +86,7 @@ class PinholeCamera:
 
     @property
     def is_wide(self) -> bool:
-        """Whether the lens model is one for fields of view up to and beyond 180 degrees."""
+        """Whether the lens model covers fields of view up to and beyond 180 degrees."""
         return LENSES[self.lens].is_wide
 
     def without_distortion(self) -> PinholeCamera:

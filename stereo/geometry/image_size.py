@@ -1,4 +1,4 @@
-"""Adaptation of a calibrated camera to the size of its images, and what speaks for another size.
+"""Adaptation of a calibrated camera to the size of its images, and evidence for another size.
 
 A matrix K is of use only with the size of the images that it was measured in. Where a file lacks this size, or its size
 does not belong to K, the principal point shows the size: centred in images of W px, it lies off centre in images of w.
@@ -37,7 +37,7 @@ class FocalAlternative(NamedTuple):
 
 
 def size_alternatives(camera: PinholeCamera, size_px: tuple[int, int]) -> tuple[FocalAlternative, ...]:
-    """Readings of a camera as its file has it for which the principal point speaks; `size_px` is (width, height)."""
+    """Readings of a camera, as stated in its file, that its principal point supports; `size_px` is (width, height)."""
     size = camera.size_px if camera.width_px else size_px
     width = size[0]
     if abs(camera.cx_px - (width - 1) / 2) <= _OFF_CENTRE * width:

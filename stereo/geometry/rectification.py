@@ -46,7 +46,7 @@ class _UndistortedImages:
     is_turned = False  # whether the images of the video are turned by 180 degrees first
 
     def _turned(self, xy_px: FloatArray) -> FloatArray:
-        """Points (N, 2) or boxes (N, 4) of the video as in its images turned back, and the reverse."""
+        """Points (N, 2) or boxes (N, 4) of the video turned by 180 degrees, if its images are; the same in reverse."""
         if not self.is_turned:
             return xy_px
         last_px = np.array(self.recorded_size_px, np.float64) - 1
@@ -186,7 +186,7 @@ class Undistorter(_UndistortedImages):
 
     The images of a wide lens are undistorted to the horizontal field of view `fov_deg`, None = the lens's, up to 120
     degrees, about an axis `yaw_deg` to the right of the camera's. The attribute `camera` is the ideal camera of the
-    undistorted images: with the matrix of the distorted one, but square pixels; of a wide lens its virtual pinhole.
+    undistorted images: the same matrix with square pixels, or the virtual pinhole of a wide lens.
     """
 
     def __init__(self, camera: PinholeCamera, *, fov_deg: float | None = None, yaw_deg: float = 0.0) -> None:
@@ -240,7 +240,7 @@ class _View:
         return self.camera.recorded_px(np.asarray(rays, np.float64))
 
     def recorded_boxes(self, xyxy_px: FloatArray) -> FloatArray:
-        """Boxes (N, 4) in pixels of the recorded image that move to these of this view."""
+        """Boxes (N, 4) in pixels of the recorded image, from boxes in pixels of this view."""
         target = _moved_boxes(xyxy_px, self.recorded_points)
         recorded = target
         with np.errstate(over="ignore", invalid="ignore"):  # of boxes far outside the image
@@ -250,7 +250,7 @@ class _View:
 
 
 def _moved_boxes(xyxy_px: FloatArray, moved: Callable[[FloatArray], FloatArray]) -> FloatArray:
-    """Boxes (N, 4) of which each edge is moved like its midpoint."""
+    """Boxes (N, 4) whose edges are each moved like their midpoint."""
     if not len(xyxy_px):
         return xyxy_px
     x1, y1, x2, y2 = xyxy_px.T
@@ -316,7 +316,7 @@ def rectified_points(camera: PinholeCamera, rotation: _Matrix, projection: _Matr
 
 
 def _ideal(camera: PinholeCamera, fov_deg: float | None) -> PinholeCamera:
-    """The virtual pinhole of a wide lens; other cameras without their distortion, with square pixels."""
+    """The virtual pinhole of a wide lens; any other camera without its distortion and with square pixels."""
     return virtual_pinhole(camera, fov_deg) if camera.is_wide else camera.squared()
 
 

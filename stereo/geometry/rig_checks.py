@@ -79,7 +79,7 @@ class RigCalibration:
         return next(exact, self if self in alike and len(modes) == 2 else alike[0] if alike else self)
 
     def in_unit(self, metres_per_unit: float | None) -> RigCalibration:
-        """The same with lengths in another unit, for a file whose unit is not `metres_per_unit`; None = no change."""
+        """The content in another unit of length, for a file whose unit is not `metres_per_unit`; None = as it is."""
         if metres_per_unit is None or self.right_from_left is None:
             return self
         motion = self.right_from_left.copy()

@@ -74,9 +74,9 @@ def view_from_camera(yaw_deg: float) -> FloatArray:
 def virtual_pinhole(camera: PinholeCamera, fov_deg: float | None = None, yaw_deg: float = 0.0) -> PinholeCamera:
     """The ideal pinhole camera with the resolution of a wide camera on its axis, and an even image size.
 
-    `fov_deg` is the horizontal field of view within `FOV_LIMITS_DEG`, None = the view of the lens, up to
-    the largest; parts that the lens does not image on one side are left out. `yaw_deg` is the direction of the
-    pinhole's axis, to the right of the camera's. Raises RigError if the lens images hardly anything there.
+    `fov_deg` is the horizontal field of view within `FOV_LIMITS_DEG`, None = the view of the lens, up to the upper
+    limit; parts that the lens does not image on one side are left out. `yaw_deg` is the direction of the pinhole's
+    axis, to the right of the camera's. Raises RigError if the lens images hardly anything there.
     """
     half_rad = math.radians(FOV_LIMITS_DEG[1] if fov_deg is None else fov_deg) / 2
     focal_px = axial_focal_px(camera)

@@ -46,7 +46,7 @@ class ExpectedDisparity:
 
     @classmethod
     def unknown(cls, n: int) -> ExpectedDisparity:
-        """Nothing is known of `n` boxes."""
+        """Unknown disparities of `n` boxes."""
         return cls(np.full(n, np.nan), np.full(n, np.nan))
 
     def select(self, rows: IntArray) -> ExpectedDisparity:
@@ -66,7 +66,7 @@ class PatchMatches:
 
     @classmethod
     def of(cls, disparity_px: FloatArray, sigma_px: FloatArray, outcome: IntArray) -> PatchMatches:
-        """Matches of a matcher that does not know of surfaces."""
+        """Matches of a matcher that does not distinguish surfaces."""
         n = len(outcome)
         return cls(disparity_px, sigma_px, outcome, np.zeros(n, np.int64), np.full(n, np.nan))
 

@@ -85,7 +85,7 @@ def refine_surface(tiles: BoxTiles, index: FloatArray, is_member: BoolArray, pla
 
 
 def _smooth(grey: Grey) -> FloatArray32:
-    """(H - 2, W - 2, N) of (H, W, N), by the binomial filter 1 2 1 both ways, so that the cubic interpolates well."""
+    """(H - 2, W - 2, N) of (H, W, N), by the binomial filter 1 2 1 on both axes: the cubic then interpolates well."""
     values = grey.astype(np.uint16)
     down = values[:-2] + values[2:]
     down += 2 * values[1:-1]

@@ -98,7 +98,7 @@ def features(
     track_px: FloatArray,
     others_fraction: FloatArray,
 ) -> dict[str, FloatArray]:
-    """Phi, by name: (S, N) each.
+    """The features phi by name, (S, N) each.
 
     `cost` (N, G) are the costs of the windows' minima, bits per pixel; `track_px` (N,) the last matches of the tracks,
     NaN = none; `others_fraction` (N, G) comes from `OtherBoxes.windows`.

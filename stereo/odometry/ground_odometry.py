@@ -5,9 +5,9 @@ rotation between them removed. Driving s metres then shifts the picture along Z:
 
     now(X, Z - s) = before(X, Z)        pixel of (X, Z): pi(R C [X, h, Z])
 
-C is the rotation of a level frame that looks along the direction of travel to the camera's frame, R the rotation from
-frame to frame (`ImageMotion`): a car drives parallel to the road, so the horizon has the row of the epipole.
-`RoadHorizon` filters it.
+C is the rotation from a level frame, which looks along the direction of travel, to the camera's frame; R is the
+rotation from frame to frame (`ImageMotion`). A car drives parallel to the road, so the horizon has the row of the
+epipole. `RoadHorizon` filters this row.
 
 The picture is divided into strips. The shift is the maximum of their mean normalised correlation; strips under boxes of
 road users or without texture do not count. The speed is unknown if the maximum is low or not unique. A horizon in a
@@ -172,7 +172,7 @@ class GroundOdometry:
         return EgoMotion(*speed, motion.yaw_rad_s, motion.is_still)
 
     def _shift_m(self, motion: ImageMotion, before: Image, now: Image, boxes: tuple[FloatArray, FloatArray]) -> float:
-        """Distance travelled; NaN = not reliable. The shifts of the strips are added to the horizon before."""
+        """Distance travelled; NaN = not reliable. The shifts of the strips first correct the horizon."""
         view, camera = self._horizon.view, self._camera
         horizon = view.horizon - view.curvature_per_m * _PICTURE_M / 2
         lowest = (camera.height_px - 2 - camera.cy_px) / camera.fy_px
@@ -218,7 +218,7 @@ class GroundOdometry:
 def _strip_correlations(
     before: FloatArray32, now: FloatArray32, masked_fraction: FloatArray, dt_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """(K,) by how much usable strips of two pictures are nearer than their far end, in m, (K, M) their correlations.
+    """(K,) distance of usable strips of two pictures from the pictures' far end, in m, and (K, M) their correlations.
 
     NaN = outside the picture.
     """

@@ -95,7 +95,7 @@ class RoadHorizon:
         )
 
     def predict(self, dt_s: float, *, pitch_rad: float, roll_rad: float, travelled_m: float) -> None:
-        """Move on to the next frame, with the pitch (positive = upwards), roll (clockwise) and distance since the last.
+        """Move on to the next frame, with pitch (positive = upwards), roll (clockwise) and distance since the last one.
 
         NaN = unknown.
         """

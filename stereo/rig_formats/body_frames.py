@@ -96,7 +96,7 @@ def _read_vins(text: str, path: Path, *, is_pair: bool) -> RigCalibration:
         blocks[f"cam{number}"] = _vins_block(_content(file), file) | pose
     note = f"{path}: {_VINS_TITLE}; lengths in metres."
     if content.get("estimate_extrinsic") in (1, 2):
-        note = f"{note[:-1]}; estimate_extrinsic is not 0, so that its body_T_cam may be a rough initial guess."
+        note = f"{note[:-1]}; estimate_extrinsic is not 0, so body_T_cam may be only a rough initial guess."
     return calibration_of_blocks(blocks, path, [note])
 
 

@@ -180,22 +180,22 @@ def _read_oak(text: str, path: Path) -> RigCalibration:
     if not length_m:
         motion, length_m, reason = specified, specified_m, "specified translation"
     elif specified_m and abs(length_m / specified_m - 1) > _SPEC_DIFFERENCE:
-        reason += f" ({specified_m:.4g} m by its specification)"
+        reason += f" ({specified_m:.4g} m in its specification)"
     note = (
         f"{path}: {_OAK_TITLE} of {quoted(file.productName or 'a device')}: sockets {left} (left) and {right} (right), "
-        f"lengths in centimetres; the baseline is {length_m:.4f} m by its {reason}."
+        f"lengths in centimetres; the baseline is {length_m:.4f} m from its {reason}."
     )
     rig = RigCalibration(cameras[left].camera(), cameras[right].camera(), motion, notes=(note,), metres_per_unit=0.01)
     # modes such as 720p of a sensor with 800 rows leave out rows at the top and at the bottom
     cropped = [_cropped(cameras[socket].camera()) for socket in (left, right)]
     if cropped[0] is None or cropped[1] is None:
         return rig
-    crop_note = f"{path}: images in 16:9 lack rows at the top and the bottom, as in the sensor's modes."
+    crop_note = f"{path}: images in 16:9 are taken to lack rows at the top and bottom, as in the sensor's modes."
     return replace(rig, others=(replace(rig, left=cropped[0], right=cropped[1], notes=(note, crop_note)),))
 
 
 def _cropped(camera: PinholeCamera) -> PinholeCamera | None:
-    """The camera of the middle rows in 16:9; None for a camera whose images are not higher."""
+    """The camera of the middle rows in 16:9; None for a camera whose images have no more rows."""
     height_px = round(camera.width_px * 9 / 16)
     n_rows = (camera.height_px - height_px) / 2
     return replace(camera, cy_px=camera.cy_px - n_rows, height_px=height_px) if n_rows > 0 and height_px else None

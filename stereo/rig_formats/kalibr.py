@@ -4,8 +4,8 @@
            distortion_coeffs: [k1, k2, r1, r2], resolution: [width, height]}
     cam1: {..., T_cn_cnm1: 4 x 4, transforms points from cam0's frame to cam1's, metres}
 
-Kalibr's radtan coefficients are OpenCV's first four. Wide lenses have other models, and before fu the intrinsics of the
-lens:
+Kalibr's radtan coefficients are OpenCV's first four. Wide lenses have other models, with the intrinsics of the lens
+before fu:
 
     pinhole + equidistant   [fu, fv, pu, pv], [k1, k2, k3, k4]          Kannala-Brandt, OpenCV's fisheye
     omni + radtan or none   [xi, fu, fv, pu, pv], [k1, k2, r1, r2]      unified

@@ -37,7 +37,7 @@ _COLOUR, _GREY = (2, 3), (0, 1)  # numbers of the left and right camera of each 
 
 
 def _has_projections(text: str) -> bool:
-    """Whether a line of a file is one of KITTI's, or all are numbers."""
+    """Whether a line of a file has one of KITTI's names, or all lines have only numbers."""
     return bool(_lines(text, "P") or _RAW_LINE.search(text) or _nameless(text))
 
 
@@ -74,7 +74,7 @@ def _read(text: str, source: object, is_grey: bool) -> RigCalibration:
     left, right = next((pair for pair in pairs if pair[0] in matrix or pair[1] in matrix), pairs[0])
     if left not in matrix:
         raise RigError(f"{source}: expected P{left} of the left camera, found only P{right}; give the complete file.")
-    notes = () if (left, right) == pairs[0] else (f"{source}: using cameras {left} and {right}, the only ones.",)
+    notes = () if (left, right) == pairs[0] else (f"{source}: the only cameras, {left} and {right}, are used.",)
     projections = [(matrix[number], size.get(number, (0, 0))) for number in (left, right) if number in matrix]
     rectified = _calibration(projections, source, notes)
     unrectified = _unrectified(text, source, (left, right), notes)
@@ -100,7 +100,7 @@ def _read_nameless(lines: Sequence[str], source: object) -> RigCalibration:
     left, right = (0, 1) if offsets_m[0] > offsets_m[1] else (1, 0)
     note = (
         f"{source}: two lines without names are taken as projection matrices P of rectified images; line {left + 1} is "
-        f"the left camera, by P[0, 3] = -f B."
+        "the left camera, since P[0, 3] = -f B."
     )
     calibration = _calibration([(matrices[left], (0, 0)), (matrices[right], (0, 0))], source, (note,))
     if offsets_m[0] == offsets_m[1]:
@@ -114,7 +114,7 @@ def _read_nameless(lines: Sequence[str], source: object) -> RigCalibration:
 def _calibration(
     projections: Sequence[tuple[FloatArray, tuple[int, int]]], source: object, notes: tuple[str, ...]
 ) -> RigCalibration:
-    """The rectified left, and right, camera of (3, 4) projection matrices and image sizes."""
+    """The rectified left camera, and the right one if there is one, of (3, 4) projection matrices and image sizes."""
     left, *others = [PinholeCamera.of_matrix(matrix, size_px) for matrix, size_px in projections]
     p_left = projections[0][0]
     x_m, y_m, z_m = np.linalg.solve(p_left[:, :3], p_left[:, 3]).tolist()
@@ -129,7 +129,7 @@ def _calibration(
 
 
 def _unrectified(text: str, source: object, pair: tuple[int, int], notes: tuple[str, ...]) -> RigCalibration | None:
-    """The cameras of the images before rectification; None if the file lacks values of the left one."""
+    """The cameras of the images before rectification; None if the file lacks values of the left camera."""
     values: dict[str, FloatArray] = {}
     sizes: dict[str, tuple[int, int]] = {}
     for name, line in _RAW_LINE.findall(text):

@@ -1,4 +1,4 @@
-"""Calibrations with matrices or numbers by name: of OpenCV, scripts, data sets and programs.
+"""Calibrations with matrices or numbers by name, from OpenCV, scripts, data sets and programs.
 
     K1 D1 K2 D2 R T          x2 = R x1 + T; T has the unit of the chessboard's square size
     K1 D1 K2 D2 R1 R2 P1 P2  R = R2^T R1, T = R2^T (P2[0, 3] / P2[0, 0], 0, 0)
@@ -216,7 +216,7 @@ def _incomplete(given: Quantities, missing: list[str], path: Path) -> RigError:
 
 
 def _pose(given: Quantities, side: Side, path: Path) -> FloatArray:
-    """(4, 4) transform of R and T of a side; the identity for a camera without."""
+    """(4, 4) transform of R and T of a side; the identity for a camera without them."""
     rotation, translation = given.values.get((side, "R")), given.values.get((side, "T"), np.zeros(3))
     if rotation is None:
         rotation = given.values.get((side, "rect"), np.eye(3))
@@ -249,7 +249,7 @@ def _contradictions(given: Quantities, pair: Pair, motion: FloatArray, path: Pat
 
 
 def _unit(kind: Kind, given: Quantities, length: float) -> tuple[float, str]:
-    """Metres per unit of the lengths of a file, and the reason, for a length between the cameras in that unit."""
+    """Metres per unit of the lengths in a file, and the reason; `length` is the baseline in that unit."""
     stated = str(given.of(None, "unit") or "").lower().rstrip("s").replace("metre", "meter")
     square, baseline = given.of(None, "square"), given.of(None, "baseline")
     if kind.metres_per_unit is not None:
@@ -322,7 +322,7 @@ def _of_scalars(given: Quantities, side: Side) -> FloatArray | None:
 
 
 def _distortion(given: Quantities, side: Side) -> FloatArray | None:
-    """OpenCV's coefficients of a camera, in D, as MATLAB's radial and tangential ones, or by their names."""
+    """OpenCV's coefficients of a camera, in D, as MATLAB's radial and tangential coefficients, or by their names."""
     distortion = given.of(side, "D")
     if distortion is not None:
         return np.append(distortion, [0.0] * (4 - distortion.size)) if distortion.size < 4 else distortion

@@ -42,7 +42,7 @@ def load_rig(
 
     `path` may be a folder with ROS's camera_info of two cameras; `right_size_px` None = `size_px`; `is_grey` chooses
     the grey pair of a KITTI file. Raises RigError if the file cannot be read, is not a rig, has only one camera, is
-    implausible or for other images.
+    implausible, or is for other images.
     """
     calibration = read_calibration(path, is_grey=is_grey, is_pair=True).of_size(size_px)
     if (rig := calibration.checked_rig(path)) is None:
@@ -83,7 +83,7 @@ def load_camera(
     """The only, or left, camera of a file, for images of `size_px` = (width, height), and notes for the user.
 
     With `size_px` None, the camera has the file's image size, which may be 0. Raises RigError if the file cannot be
-    read, is not a calibration, is implausible or for other images.
+    read, is not a calibration, is implausible, or is for other images.
     """
     calibration = read_calibration(path, is_grey=is_grey, is_pair=False).of_size(size_px)
     check_camera(calibration.left, f"{path}: left")
@@ -116,16 +116,16 @@ def missing_camera(path: Path, *, is_grey: bool = False) -> str:
 def left_from_reference_m(path: Path, *, is_grey: bool, size_px: tuple[int, int] | None = None) -> FloatArray:
     """(3,) translation from the frame of KITTI's reference camera, which its labels use, to the left camera's frame.
 
-    Zeros for other formats, and for KITTI's images before rectification. Labels are moved by it before they are
-    compared with measured distances. `size_px` is the (width, height) of the images; None = rectified. Raises RigError
-    if the file cannot be read or is not a calibration.
+    Zeros for other formats, and for KITTI's images before rectification. Labels are moved by this translation before
+    they are compared with measured distances. `size_px` is the (width, height) of the images; None = rectified. Raises
+    RigError if the file cannot be read or is not a calibration.
     """
     calibration = read_calibration(path, is_grey=is_grey, is_pair=False).of_size(size_px)
     return np.array(calibration.left_from_reference_m)
 
 
 def find_rig(left_video: Path) -> Path | None:
-    """`rig.yaml`, else `calib.txt`, in the folder of the left video; for a folder of images, in it or its parent."""
+    """`rig.yaml`, else `calib.txt`, in the folder of the left video, or in a folder of images or its parent."""
     folders = (left_video, left_video.parent) if left_video.is_dir() else (left_video.parent,)
     candidates = (folder / name for folder in folders for name in ("rig.yaml", "calib.txt"))
     return next((candidate for candidate in candidates if candidate.is_file()), None)

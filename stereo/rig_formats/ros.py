@@ -51,7 +51,7 @@ _Row = BeforeValidator(_data_of)
 _Matrix33 = Annotated[list[_Value], Field(min_length=9, max_length=9), _Row]
 _Matrix34 = Annotated[list[_Value], Field(min_length=12, max_length=12), _Row]
 _Coefficients = Annotated[list[_Value], Field(max_length=14), _Row]
-"""Numbers row by row; no plausible one has a magnitude above 1e7; OpenCV has at most 14 distortion coefficients."""
+"""Numbers row by row; no plausible number has a magnitude above 1e7; OpenCV has at most 14 distortion coefficients."""
 
 
 class _Region(BaseModel):

@@ -21,7 +21,7 @@ _HINTS = {
 
 
 def rig_template(path: Path, *, metres_per_unit: float | None = None) -> str:
-    """Text of a rig.yaml, with the meaning of a key where its value is missing. Raises RigError for no such file.
+    """Text of a rig.yaml, with the meaning of a key where its value is missing. RigError if the file is missing.
 
     `metres_per_unit` is the unit of the lengths in the file, None = by the file or their size.
     """

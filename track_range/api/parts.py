@@ -84,8 +84,8 @@ class Detector:
 
         Args:
             model: an ONNX file, or a name from `track-range models list`.
-            names: class names in the order of the network; None = those in the model file.
-            anchors: anchors of raw YOLO heads, "81,82 135,169 344,319 / 23,27 ..."; None = those in the model file.
+            names: class names in the order of the network; None = the names in the model file.
+            anchors: anchors of raw YOLO heads, "81,82 135,169 344,319 / 23,27 ..."; None = as in the model file.
             letterbox: placement of the image and grey level of the padding, such as "centred-114"; None = as usual for
             the network family.
             layout: name of the layout of the outputs (docs/how-to/detectors.md); None = by their shapes and values.

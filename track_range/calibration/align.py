@@ -44,7 +44,7 @@ class BaselineCheck:
 
 
 CheckBaseline = Callable[[tuple[Path, Path], AlignmentSettings | RigCheckSettings], BaselineCheck]
-"""Checks the baseline in a drive, of which the left and the right video are given."""
+"""Checks the baseline in a drive, from its left and right video."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,7 +221,7 @@ def _from_reference(reference: Path, settings: AlignmentSettings, progress: Step
 def _with_row_offsets(
     pairs: Iterator[StereoPair], rows_px: list[float], rigs: list[StereoRig], advance: Callable[[int, int | None], None]
 ) -> Iterator[StereoPair]:
-    """The pairs; the row offsets of the first ones are appended to `rows_px`, the rectified rig of each to `rigs`."""
+    """The pairs; row offsets of the first pairs are appended to `rows_px`, the rectified rig of each to `rigs`."""
     for number, pair in enumerate(pairs):
         rigs.append(pair.rig)
         if number < _N_ROW_PAIRS:

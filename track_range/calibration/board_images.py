@@ -81,7 +81,7 @@ class ImageFiles:
 
 
 class VideoShots:
-    """Shots from a video, or from two synchronised videos, at regular intervals; VideoError for unreadable ones."""
+    """Shots from a video, or from two synchronised videos, at regular intervals; VideoError for an unreadable video."""
 
     is_video: ClassVar[bool] = True  # many frames of a video may not show the board
     unpaired: tuple[RejectedView, ...] = ()
@@ -114,7 +114,7 @@ BoardImages = ImageFiles | VideoShots  # source of shots, which can be iterated 
 
 
 def board_images(sources: Sequence[str], layout: LayoutOption = "auto") -> BoardImages:
-    """The images of one camera, from one source, or of two cameras, from one source each, or equal ones with `layout`.
+    """The images of one camera from one source, or of two from two sources, which are equal if images have a `layout`.
 
     Raises ImageFileError for a pattern or folder without images, sources of different kinds, or images that cannot be
     paired, and VideoError if a video cannot be read.
@@ -133,7 +133,7 @@ def board_images(sources: Sequence[str], layout: LayoutOption = "auto") -> Board
 
 
 def _layout(source: str, files: Sequence[Path], layout: LayoutOption) -> StereoLayout:
-    """The layout of images of two cameras in each; wide ones are beside each other, as few points of boards match."""
+    """The layout of images that show two cameras; wide images have them side by side, as few points of boards match."""
     if layout != "auto" and layout != "tracks":
         return layout
     paths = files[:_N_COMPARED] if layout == "auto" else ()
@@ -143,7 +143,7 @@ def _layout(source: str, files: Sequence[Path], layout: LayoutOption) -> StereoL
     if images and images[0].shape[1] >= _MIN_ASPECT * images[0].shape[0]:
         return "side-by-side"
     raise ImageFileError(
-        f"{source}: expected the images of two cameras in each, found no two halves that match; give the images of "
+        f"{source}: expected images of both cameras in each file, found no two halves that match; give the images of "
         "the right camera as well, or --stereo-layout side-by-side, right-left, top-bottom or bottom-top (Python: "
         "stereo_layout)."
     )

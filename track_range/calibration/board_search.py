@@ -124,7 +124,7 @@ def _text(size: Size) -> str:
 
 
 def _sharp(shots: list[Views], rejected: list[RejectedView]) -> list[Views]:
-    """The shots without blurred shots, whose edges are much wider than usual."""
+    """The shots that are not blurred: edges of blurred shots are much wider than usual."""
     if not shots:
         return shots
     widths = np.array([max(view.edge_px for view in shot) for shot in shots])

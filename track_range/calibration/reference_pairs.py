@@ -115,7 +115,7 @@ def open_pair(
 ) -> tuple[Recording, StereoRig]:
     """Open a calibrated pair; returns the recording and its rectified rig.
 
-    `rig` is a rig file, None = the one next to the left video; for the others see `open_recording`. Raises VideoError
+    `rig` is a rig file, None = the one next to the left video; other arguments: see `open_recording`. Raises VideoError
     if a video cannot be used, and RigError without a usable rig, or, with checks, if left and right are swapped.
     """
     recording = open_recording(left, right, rig=rig, align=align, has_checks=has_checks, stereo_layout=stereo_layout)
@@ -133,9 +133,9 @@ def reference_pairs(
 ) -> Iterator[StereoPair]:
     """The pairs with their known objects, read one by one.
 
-    `reference` is a file or folder of one of the kinds above, `stereo` the left and right video for a file, equal ones
-    for one of both cameras, `rig` a rig file, None = the one next to the images. Raises UsageError for a file without
-    videos, or a folder with videos, and PairFileError, LabelFileError, VideoError or RigError for an unusable input.
+    `reference` is a file or folder of one of the kinds above, `stereo` the left and right video for a file (equal for
+    one video of both cameras), `rig` a rig file, None = the one next to the images. Raises UsageError for a file
+    without videos or a folder with videos; PairFileError, LabelFileError, VideoError or RigError for an unusable input.
     """
     if not reference.exists():
         raise LabelFileError(f"{reference}: no such file or folder; check the name.")

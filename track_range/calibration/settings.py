@@ -24,8 +24,8 @@ _Stereo = Annotated[
 _StereoLayout = Annotated[
     LayoutOption,
     option(
-        "Where the images of both cameras are in one video: beside or below each other, the left camera's first or "
-        "second, or in two video tracks(default: as the file, its name or the images show)."
+        "Layout of one video with the images of both cameras: beside or below each other, the left camera's image "
+        "first or second, or two video tracks (default: as the file, its name or the images show)."
     ),
 ]
 
@@ -106,7 +106,7 @@ class CalibrationSettings(Options):
     lens_terms: Annotated[
         int,
         option(
-            "Number of distortion coefficients of a pinhole: 4 = k1 k2 p1 p2; 5 adds k3; 8 adds k4 k5 k6.",
+            "Number of distortion coefficients of a pinhole camera: 4 = k1 k2 p1 p2; 5 adds k3; 8 adds k4 k5 k6.",
             metavar="0|4|5|8",
         ),
     ] = 5
@@ -147,7 +147,7 @@ class CalibrationSettings(Options):
     ] = None
     force: Annotated[
         bool,
-        option("Write the calibration also if the measurements contradict each other.", panel=_ROAD),
+        option("Output of the calibration even if the measurements contradict each other.", panel=_ROAD),
     ] = False
     camera_model: Annotated[
         str | None,

@@ -26,8 +26,8 @@ def run_of_recordings(arguments: list[str], program: str) -> list[str]:
     parts = shlex.join(part for name in names for part in ("--mono", name))
     pair = f"`{program} --stereo {shlex.join(names)}` for a left and a right camera, or " if len(names) == 2 else ""
     raise UsageError(
-        f"expected --mono or --stereo before the recordings, found {len(names)} recordings without it: use {pair}"
-        f"`{program} {parts}` for the parts of one recording."
+        f"expected --mono or --stereo before the recordings, found {len(names)} recordings without either: use "
+        f"{pair}`{program} {parts}` for the parts of one recording."
     )
 
 

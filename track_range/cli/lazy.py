@@ -152,7 +152,7 @@ class LazyGroup(HelpGroup):
 
 
 def lazy_app(modules: Mapping[str, Lazy], *, examples: tuple[str, ...] = (), **settings: Any) -> typer.Typer:
-    """A group of the commands in `modules`; `examples`: of a group in no other one; `settings`: of typer.Typer."""
+    """A group of the commands in `modules`; `examples` only for a top-level group; `settings` for typer.Typer."""
     group = type("Group", (LazyGroup,), {"modules": modules, "examples": examples})
     app = typer.Typer(cls=group, no_args_is_help=True, rich_markup_mode=None, **{"add_completion": False, **settings})
     for name, lazy in modules.items():

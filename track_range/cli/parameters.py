@@ -37,7 +37,7 @@ class PairCommand(HelpCommand):
 
 
 def _split_pairs(args: list[str], *, is_single: bool) -> list[str]:
-    """Arguments with `--stereo LEFT RIGHT` as two options if `is_single`, RIGHT "" if missing, else LEFT for RIGHT."""
+    """Arguments in which `--stereo` has two values: two options if `is_single`; a missing RIGHT is "", or else LEFT."""
     split, rest = list[str](), list(args)
     while rest:
         name, equals, value = rest.pop(0).partition("=")

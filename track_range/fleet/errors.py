@@ -8,7 +8,7 @@ from track_range.foundation.errors import UserError
 
 
 class FleetError(UserError):
-    """The fleet cannot run, or cannot continue; what is complete stays."""
+    """The fleet cannot run, or cannot continue; complete results remain."""
 
 
 class ClipsFailedError(UserError):

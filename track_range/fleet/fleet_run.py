@@ -48,10 +48,9 @@ def run_fleet(
     """Process the clips that are not complete.
 
     `options`: options of the runs, by name of the setting; `console`: for the progress; `process`: processes a clip in
-    a worker (default: `engine.clip_run.run_clip`). Raises UsageError: an option is invalid; FleetError,
-    FolderLockError,
-    StorageError: the fleet cannot run, or cannot continue; RunStoppedError: the user stopped it; what is complete
-    stays.
+    a worker (default: `engine.clip_run.run_clip`). Complete clips remain in any case. Raises UsageError: an option is
+    invalid; FleetError, FolderLockError, StorageError: the fleet cannot run or continue; RunStoppedError: the user
+    stopped it.
     """
     import pyarrow as pa
 

@@ -29,6 +29,6 @@ def conflicts() -> tuple[str, ...]:
     several = [versions for name in _DISTRIBUTIONS if len(versions := installed_versions(name)) > 1]
     return tuple(
         f"{' and '.join(f'{key} {value}' for key, value in versions.items())} are installed and overwrite each other's "
-        f"files: pip uninstall -y {' '.join(versions)}, then pip install the one that you need."
+        f"files: pip uninstall -y {' '.join(versions)}, then pip install the package that you need."
         for versions in several
     )

@@ -1,7 +1,7 @@
 """Telemetry of third-party packages, disabled before they are imported.
 
-A package of track-range that imports one of them calls `disable_telemetry` in its `__init__`. Packages without such a
-variable: Rerun, of which only the viewer collects statistics. `track-range view` starts it with `VIEWER_VARIABLES`.
+A package of track-range that imports one of them calls `disable_telemetry` in its `__init__`. Rerun has no such
+variable, but only its viewer collects statistics; `track-range view` starts it with `VIEWER_VARIABLES`.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ VIEWER_VARIABLES = {
 }
 """Environment of Rerun's viewer, so that it makes no connection.
 
-In continuous integration it collects no statistics; it has no other variable for that, and `rerun analytics disable`
-records an event before it disables them. Its check for a newer version cannot be disabled, but uses a proxy.
+In continuous integration the viewer collects no statistics; there is no other variable for that, and `rerun analytics
+disable` records an event first. The check for a newer version cannot be disabled, but uses a proxy.
 """
 
 

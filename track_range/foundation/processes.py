@@ -1,7 +1,7 @@
 """Processes and processor cores of this machine, and settings that hold for a whole process.
 
-The library changes none of these settings by itself: only the command line and the workers of a fleet do, whose process
-serves nothing else, and programs that call `tuned_process`.
+The library changes none of these settings by itself. Only the command line and the workers of a fleet, whose processes
+serve nothing else, and programs that call `tuned_process` change them.
 """
 
 from __future__ import annotations
@@ -70,9 +70,9 @@ def _quota_cores(root: Path = Path("/")) -> float:
 def tuned_process(*, has_dense_stereo: bool = False) -> Iterator[None]:
     """Context for the loop over a run in a process that serves only this run, as on the command line.
 
-    Threads wait at most 0.5 ms for the GIL. Garbage collections leave out the objects that exist before, a search among
-    which takes 60 ms; where the program has frozen objects itself, nothing changes. On two cores or fewer, OpenCV uses
-    one thread, since further threads would interrupt inference. The end of the context restores the settings.
+    Threads wait at most 0.5 ms for the GIL. Garbage collections leave out the objects that exist before, since
+    searching them takes 60 ms; if the program has frozen objects itself, nothing changes. On two cores or fewer, OpenCV
+    uses one thread, since further threads would interrupt inference. The end of the context restores the settings.
 
     Example:
         >>> import track_range as tr

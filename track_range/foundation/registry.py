@@ -1,4 +1,4 @@
-"""Registry: things of one kind by name, built-in, of other packages (entry points), and registered at run time."""
+"""Registry: objects of one kind by name, built in, from other packages (entry points), or registered at run time."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ T = TypeVar("T")
 
 
 class Registry(Generic[T]):
-    """Things of one kind by name; a text "package.module:attribute" stands for one that `imported` gives.
+    """Objects of one kind by name; a text "package.module:attribute" stands for the object that `imported` returns.
 
-    `built_in` are our own things, in their order; other packages register with the `group` of entry points.
+    `built_in` are our own objects, in their order; other packages register with the `group` of entry points.
     """
 
     def __init__(self, group: str, built_in: Mapping[str, T | str]) -> None:
@@ -31,11 +31,11 @@ class Registry(Generic[T]):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of built-in things, registered things, then entry points."""
+        """Names of built-in objects, registered objects, then entry points."""
         return tuple(dict.fromkeys((*self.built_in, *self.registered, *(point.name for point in self.installed))))
 
     def find(self, name: str) -> T | str | None:
-        """The thing with a name, None if there is none; built-in things have precedence, then registered things."""
+        """The object with a name, None if there is none; built-in objects have precedence, then registered objects."""
         installed = {point.name: point.value for point in reversed(self.installed)}
         return {**installed, **self.registered, **self.built_in}.get(name)
 

@@ -13,7 +13,7 @@ MAD_TO_SIGMA = 1.4826  # sigma over median absolute deviation (MAD) of a normal 
 
 
 def median_of(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """(...) median of (..., N) values, N >= 1, none NaN, as `np.median`, which takes up to six times as long."""
+    """(...) median of (..., N) values, N >= 1, without NaN, as `np.median`, which takes up to six times as long."""
     middle = values.shape[-1] // 2
     if values.shape[-1] % 2:
         return np.asarray(np.partition(values, middle, axis=-1)[..., middle])

@@ -73,7 +73,7 @@ class RankedCorners(NamedTuple):
     quality: FloatArray32
 
     def n_good(self, n_corners: int, min_quality: float) -> int:
-        """Number of the first corners, at most `n_corners`, with a fraction `min_quality` of the best one's quality."""
+        """Number of the first corners, at most `n_corners`, whose quality is `min_quality` of the best or more."""
         best = float(self.quality[0]) if len(self.quality) else 0.0
         return int((self.quality[:n_corners] > max(min_quality * best, _MIN_EIGENVALUE)).sum())
 
@@ -124,7 +124,7 @@ def tracked_corners(
     n_levels: int,
     start: FloatArray32 | None = None,
 ) -> tuple[FloatArray32, BoolArray]:
-    """Corners (N, 2) of one image found in another by pyramidal Lucas-Kanade (Bouguet, 2000), and (N,) which of them.
+    """Corners (N, 2) found in another image by pyramidal Lucas-Kanade (Bouguet, 2000), and (N,) whether they were.
 
     The search begins at the points `start` (N, 2), by default at the corners, with `n_levels` above the images.
     """

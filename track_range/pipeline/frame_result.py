@@ -31,8 +31,8 @@ class TrackedObject:
         id: identity, the same in all frames.
         class_name: one of `ROAD_CLASSES`.
         xyxy_px: left, top, right, bottom edge of its box.
-        distance_m: fused distance, `ranges["fused"]` and `fused_m` in tracks.csv; NaN = not measured, as where the box
-            is predicted, or touches the border of the image.
+        distance_m: fused distance, `ranges["fused"]` and `fused_m` in tracks.csv; NaN = not measured, for example where
+        the box is predicted, or touches the border of the image.
         sigma_m: its standard deviation.
         closing_mps: closing speed, from the filtered distance, positive = approaching; NaN = unknown.
         ttc_s: time to collision, distance / closing speed; NaN = not approaching.
@@ -85,7 +85,7 @@ class FrameResult:
             NaN = unknown.
         disparity: (H, W) disparities in px, NaN = unknown; None if dense stereo did not run.
         lanes: lines of the ego lane; None if no lane detector ran.
-        candidates: all detections of the frame, of all classes and with low scores; None = not needed.
+        candidates: all detections of the frame, including other classes and low scores; None = not needed.
         ego_mps: speed of the camera along its axis in m/s, negative = backwards; NaN = unknown.
         ego_sigma_mps: its standard deviation; NaN = unknown.
         warnings: probability of contact and alarm of each track; None if they were not estimated.

@@ -265,7 +265,7 @@ class FusionStage:
     def update(
         self, frame: Frame, tracks: Tracks, ranges: dict[str, Ranges], ego: EgoMotion
     ) -> tuple[FilteredRanges, LateralMotion]:
-        """Filtered fused distances of the tracks and their lateral motion; adds fused and filtered ones to `ranges`."""
+        """Filtered fused distances and lateral motion of the tracks; adds fused and filtered distances to `ranges`."""
         fused = self._fusion.fuse(ranges, tracks.track_id, frame.time_s)
         ranges["fused"] = fused.ranges
         last = self._lateral.last(tracks.track_id)

@@ -94,7 +94,7 @@ class PacedFrames:
 
 
 def latency_ms(latencies_s: Sequence[float]) -> dict[str, float]:
-    """Median `p50`, `p95` and `max` of latencies, in ms; empty without any."""
+    """Median `p50`, `p95` and `max` of latencies, in ms; empty if there are none."""
     if not latencies_s:
         return {}
     p50, p95, longest = 1000 * np.percentile(latencies_s, (50, 95, 100))
@@ -144,7 +144,7 @@ class FrameMeter:
 
     @property
     def n_dropped(self) -> int:
-        """Number of frames to be used between the first and the last one that the run did not process."""
+        """Number of frames between the first and the last one that should have been used but were not processed."""
         if isinstance(self._live, PacedFrames):
             return self._live.n_dropped
         span = self._last_index - self._first_index
@@ -177,7 +177,7 @@ class FrameMeter:
         if not (isinstance(self._live, PacedFrames) and self._live.n_dropped):
             return (latency,)
         n_frames = self._n_frames + self._live.n_dropped
-        dropped = f"{self._live.n_dropped} of {n_frames} frames were dropped: the machine is too slow for them."
+        dropped = f"{self._live.n_dropped} of {n_frames} frames were dropped, because the machine is too slow."
         return (latency, f"--realtime: {dropped}")
 
     def summary(self) -> dict[str, Any]:

@@ -1,1 +1,1 @@
-"""What comes in: files, folders, bags, streams, telemetry and calibration files, as frames."""
+"""Input: files, folders, bags, streams, telemetry and calibration files, read as frames."""

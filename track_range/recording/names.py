@@ -35,7 +35,7 @@ class BagTopic:
 
 
 PackedLayout = Literal["side-by-side", "right-left", "top-bottom", "bottom-top"]
-"""Where one image contains the images of two cameras: beside or below each other, the left camera's first or second."""
+"""Layout of the images of two cameras in one image: beside or below each other, the left camera's first or second."""
 
 STACKED: tuple[PackedLayout, ...] = ("top-bottom", "bottom-top")  # below each other
 REVERSED: tuple[PackedLayout, ...] = ("right-left", "bottom-top")  # the right camera's first

@@ -49,7 +49,7 @@ from track_range.stereo.geometry.rig import StereoRig
 PairedVideos = RecordedPair | LivePair | PackedPair
 Monitor = PairMonitor | SyncMonitor | DriftMonitor  # a check that receives each frame once, in order of time
 
-_UNSTEADY = "not measured, since rows of left and right change, as in images of different times"
+_UNSTEADY = "not measured, since the vertical offset between left and right changes, as in images of different times"
 
 _FIRST_PERIOD = 2  # frames between two checks of the synchronisation of those from which the alignment is estimated
 
@@ -181,9 +181,9 @@ def open_recording(
     Args:
         left: video file, several files of one recording, folder of such files or of numbered images, camera (0,
             /dev/video0) or stream (rtsp://...).
-        right: the same; None = one camera, or with `stereo_layout` two in one recording.
-        rig: calibration file, such as rig.yaml, or one of a camera or of a script; or the models of two cameras, of
-            which one video has the left one; None = a file next to `left`, if any.
+        right: the same for the right camera; None = one camera, or with `stereo_layout` both in one recording.
+        rig: calibration file (rig.yaml, or the file of a camera or a script), or the models of two cameras, of which
+        one video uses the left one; None = a file next to `left`, if any.
         focal_px: focal length of cameras without a calibration file.
         fov_deg: horizontal field of view, 20 to 120 degrees, to which the images of wide lenses are undistorted; None =
         the lens's, up to 120 degrees.
@@ -193,15 +193,14 @@ def open_recording(
             "off", an alignment file, or an alignment.
         start_s: start of the part to read, in seconds after the left video's first frame.
         duration_s: length of the part to read; None = to the end.
-        every: N = each N-th frame is read; the checks of a recorded pair have all frames.
+        every: N = every N-th frame is read; the checks of a recorded pair use all frames.
         folder_fps: frame rate of folders of images without timestamps.txt.
         has_checks: whether calibrated pairs are checked for swapped, misaligned or unsynchronised videos, and frames
             that lag are re-paired.
         start_utc: UTC of the left video's first frame, in ISO 8601; None = from the video.
         topics: topics of the images of the left and right camera, if `left` and `right` are MCAP files or ROS bags.
-        stereo_layout: where the images of one recording contain the images of two cameras: "side-by-side",
-        "right-left",
-            "top-bottom", "bottom-top", "tracks" (two video tracks), or "auto" = found out.
+        stereo_layout: layout of the images of two cameras in one recording: "side-by-side", "right-left",
+            "top-bottom", "bottom-top", "tracks" (two video tracks), or "auto" = detected.
         track: video track of the files of one camera, counted from 0; None = the largest one.
         bayer: Bayer filter of images in folders: "rggb", "bggr", "gbrg" or "grbg".
         progress: shows the progress of the alignment's estimation.
@@ -288,7 +287,7 @@ def _paired(left: Video, right: Video) -> RecordedPair | LivePair:
 def _named(
     left: VideoName, right: VideoName | None, topics: Sequence[str], track: int | None, layout: LayoutOption | None
 ) -> tuple[VideoName, VideoName | None]:
-    """The names, bags with topics; raises VideoError if a video is no bag, or the number of topics does not fit."""
+    """The names, with topics for bags; raises VideoError if a video is no bag, or the number of topics does not fit."""
     if right == left and layout is not None and len(topics) < 2:
         right = None  # both cameras in one recording
     if track is not None and isinstance(left, Path | Segments) and right is None:

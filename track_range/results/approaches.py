@@ -17,14 +17,14 @@ def closest_approaches(columns: Columns) -> list[dict[str, Any]]:
 
     Keys: `track_id`, `class` (the most frequent one); `min_distance_m` (filtered, else fused), `max_closing_mps` and
     `min_ttc_front_s`, each with `_at_s`, its time; `min_distance_sigma_m`, `max_closing_sigma_mps`. None = unknown.
-    Distances and closing speeds are of detected boxes, with a sigma of at most half of them or an unknown one.
+    Distances and closing speeds are from detected boxes, if their sigma is unknown or at most half of the value.
     """
     users = [row for row in track_extremes(columns) if row["class"] not in STATIC_CLASSES]
     return sorted(users, key=lambda row: np.inf if row["min_distance_m"] is None else row["min_distance_m"])
 
 
 def track_extremes(columns: Columns) -> Iterator[dict[str, Any]]:
-    """The same for each track, by increasing track ID."""
+    """Rows as in `closest_approaches`, but for each track, by increasing track ID."""
     unknown = np.full(len(columns["time_s"]), np.nan)
     is_observed = columns.get("observed", unknown) != 0
     distance_m, sigma_m = reference_distance(columns)

@@ -232,7 +232,7 @@ def rows_schema(columns: Sequence[ResultColumn], metadata: Mapping[str, str] | N
 
 
 def record_batch(frames: Sequence[FrameValues], columns: Sequence[ResultColumn], schema: pa.Schema) -> pa.RecordBatch:
-    """Rows of some frames, of none as well, in full precision and with the `rows_schema`; null = not measured."""
+    """Rows of any number of frames, in full precision and with the `rows_schema`; null = not measured."""
     import pyarrow as pa
 
     arrays = []

@@ -294,7 +294,7 @@ class _Reader:
 
 
 def every_of(settings: Sections) -> int:
-    """Each how many frames of the video are processed with the settings of a run."""
+    """N, if the settings of a run process every N-th frame of the video."""
     every = settings.get("every")
     return every if isinstance(every, int) and 1 <= every <= 1000 else 1
 
@@ -307,8 +307,8 @@ def _section(document: Sections, name: str) -> dict[str, Any]:
 def read_run_rows(path: Path, missing: list[str]) -> dict[str, Any]:
     """Columns of a tracks.csv, tracks.parquet or tracks.arrows without damaged rows.
 
-    A message with the number of these is added to `missing`. OutputError if the file cannot be read, is not of a run,
-    or all of its rows are malformed.
+    A message with the number of damaged rows is added to `missing`. OutputError if the file cannot be read, is not of a
+    run, or all of its rows are malformed.
     """
     if path.suffix == ".arrows":
         columns, is_cut = read_tracks_arrows(path)

@@ -51,8 +51,8 @@ def surrogate_rows(source: Path) -> list[dict[str, Any]]:
 def _road_users(clip: str, columns: Columns, poses: Poses | None, source: Path) -> Iterator[dict[str, Any]]:
     if len(columns["frame"]) and not ("gap_m" in columns and np.isfinite(columns["gap_m"]).any()):
         raise OutputError(
-            f"{source}: expected rows with measures of safety (gap_m), found none; rows of earlier versions lack these "
-            "measures: repeat the run."
+            f"{source}: expected rows with measures of safety (gap_m), found none; earlier versions did not write "
+            "these measures; repeat the run."
         )
     ego = None if poses is None else np.stack([poses.time_s, poses.x_m, poses.y_m], axis=1)
     for rows in rows_by_track(columns):
@@ -83,7 +83,7 @@ def _measures(name: str, columns: Columns, rows: IntArray, ego: Any) -> dict[str
 
 
 def by_class(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Extremes and sums over the road users of each class: `n`, `n_exposed` (with a TET), the keys without moments."""
+    """Extremes and sums over the road users of each class: `n`, `n_exposed` (with a TET), and keys without moments."""
     figures = []
     for name in [name for name in ROAD_CLASSES if any(row["class"] == name for row in rows)]:
         own = [row for row in rows if row["class"] == name]

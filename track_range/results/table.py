@@ -131,7 +131,7 @@ class _BatchFile:
         self._n_batches += 1
 
     def batches(self) -> list[pa.RecordBatch]:
-        """All batches, memory-mapped; without one that could not be written completely."""
+        """All batches, memory-mapped; without a batch that could not be written completely."""
         import pyarrow as pa
 
         with pa.ipc.open_stream(pa.memory_map(str(self._path))) as reader:

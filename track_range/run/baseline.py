@@ -1,4 +1,4 @@
-"""The baseline of a rig by the road users and the speed of the camera in a drive, for `align` and `rig check`."""
+"""The baseline of a rig from the road users and the speed of the camera in a drive, for `align` and `rig check`."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ class Findings:
                 self._distances_m.append(float(np.median(known_m)))
 
     def notes(self, detect: Callable[[Frame], Detections] | None, rig: StereoRig | None) -> tuple[str, ...]:
-        """Messages for the user at the end of the run; `detect` is used on a few more images, None = it cannot be."""
+        """Messages for the user at the end of the run; `detect` is used on a few more images (None = not possible)."""
         if not self._left:
             return ()
         notes = _problem("", self._left)
@@ -66,7 +66,7 @@ class Findings:
             notes += (
                 f"The images appear to be upside down: in a sample of {len(self._kept)} more road users are found "
                 "after a rotation by 180 degrees. Rotate the video, for example with ffmpeg -i IN -vf hflip,vflip "
-                "OUT.mp4: until then few road users are found, and distances by the road are wrong.",
+                "OUT.mp4: otherwise few road users are found, and distances from the road are wrong.",
             )
         if not self._n_boxes and not notes:
             notes += (

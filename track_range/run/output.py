@@ -42,7 +42,7 @@ _NOTE_INTERVAL_S = 1.0  # minimum time between two notes on the number of frames
 class RunOutput:
     """Files of a run, from the opening of its inputs to its end: `start`, `write` for each frame, `finish`.
 
-    The folder is locked, and contains progress.json and, unless the folder has the one of an earlier run,
+    The folder is locked, and contains progress.json and, unless the folder has the file of an earlier run,
     settings.yaml. Results of an earlier run remain until `start`, so that a run with unusable inputs does not remove
     them; such a run also removes what it created. As a context manager, it closes what `finish` did not, and removes
     progress.json and the lock. Without a folder, nothing is written. A `rig` that was not read from a file is written

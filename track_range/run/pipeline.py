@@ -1,4 +1,4 @@
-"""Pipeline: everything that a run does with a frame, for frames in memory: of a driver, a robot or a ROS node.
+"""Pipeline: everything that a run does with a frame, for frames in memory, from a driver, a robot or a ROS node.
 
     check the images -> rectify -> FramePipeline.step -> rows and events -> alignment for the next frame
 
@@ -75,8 +75,8 @@ class FrameError(UserError, ValueError):
 class Pipeline:
     """Detection, tracking, ranging, fusion, filters and warnings of one drive, frame by frame.
 
-    `Pipeline.stereo` and `Pipeline.mono` make one; it is a context manager, for use in one thread. Results equal the
-    results of `Run` with the same options and alignment.
+    `Pipeline.stereo` and `Pipeline.mono` create a pipeline, which is a context manager for use in one thread. Results
+    equal the results of `Run` with the same options and alignment.
 
     Example:
         >>> import track_range as tr
@@ -208,9 +208,9 @@ class Pipeline:
 
     @property
     def latency_ms(self) -> dict[str, float]:
-        """`p50`, `p95` and `max` of the latencies of the last 1,000 frames in ms; empty before the first one.
+        """`p50`, `p95` and `max` of the latencies of the last 1,000 frames in ms; empty before the first frame.
 
-        From the time of the images to the result if `time_s` is of `time.monotonic` or `time.time`, else from the call.
+        They count from the time of the images if `time_s` is of `time.monotonic` or `time.time`, else from the call.
         """
         return latency_ms(self._latencies_s)
 
@@ -220,7 +220,7 @@ class Pipeline:
         boxes = self._boxes.notes()
         if self._opened is None:
             return boxes
-        unit = "time_s: the latest frames are more than 5 s apart, so that no road user is tracked; give seconds."
+        unit = "time_s: the latest frames are more than 5 s apart, so no road user is tracked; give time_s in seconds."
         return (*boxes, *([unit] if self._n_long_steps == _N_LONG_STEPS else []), *self._opened.notes)
 
     def events(self) -> tuple[Event, ...]:
@@ -247,7 +247,7 @@ class Pipeline:
     def _step(self, images: Mapping[str, Any], time_s: float, ego_speed_mps: float | None) -> FrameResult:
         called_s = time.monotonic(), time.time()
         if self._is_closed:
-            raise UsageError("this pipeline is closed; make another one for further frames.")
+            raise UsageError("this pipeline is closed; create a new one for further frames.")
         checked = {name: _checked(image, name, is_left=name != "right") for name, image in images.items()}
         known, opened = _known_motion(ego_speed_mps), self._opened
         if not _is_number(time_s) or not self._last_s < time_s < math.inf:
@@ -412,9 +412,9 @@ class _Opened:
         return result
 
     def _checked(self, monitor: PairMonitor, *, is_first: bool) -> bool:
-        """Whether the frame that was checked has stereo: not before the first pairs are explained, nor if repaired.
+        """Whether the checked frame has stereo: not before the first pairs are explained, and not if they are repaired.
 
-        With a given alignment the first pair decides until then.
+        With a given alignment, the first pair decides until the pairs are explained.
         """
         if monitor.finding is None or self._stepwise is None:
             if is_first and self._is_given:

@@ -314,7 +314,7 @@ class Run:
 
     @property
     def uncalibrated_video(self) -> str | None:
-        """Name of the one recorded video, if its focal length is not known exactly; None = calibrated, or another."""
+        """Name of the one recorded video, if its focal length is not known exactly; None for other recordings."""
         shown, calibration = self.session.inputs.get("mono"), self.session.recording.calibration
         is_known = calibration.kind == "rig" and not calibration.focal_sigma
         is_live = self.session.recording.live is not None

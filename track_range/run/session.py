@@ -79,7 +79,7 @@ ANONYMIZED = (
 
 
 class RunSession:
-    """Opened inputs of a run, and what its finished frames gave; an unusable input raises its error.
+    """Opened inputs of a run, and the results of its finished frames; an unusable input raises its error.
 
     `detector`, `tracker` and `rig` replace the settings' choices; `report` is called with the name of each task of the
     opening. `wall_s` are the seconds for opening the videos and processing all frames, without loading the network and

@@ -153,8 +153,8 @@ class OutputOptions(Options):
     anonymize: Annotated[
         bool,
         option(
-            "Blur of heads and number plates in all images of the results, irreversibly, and no folder names in the "
-            "results; undetected heads and plates are not covered."
+            "Irreversible blur of heads and number plates in all images of the results, and no folder names in the "
+            "results; undetected heads and plates are not blurred."
         ),
     ] = False
     mcap_profile: Annotated[
@@ -252,7 +252,7 @@ _CONTRADICTIONS: tuple[tuple[Callable[[RunSettings], bool], str], ...] = (  # wh
         lambda run: run.stereo_layout is not None and not run.has_both_in_one,
         "--stereo-layout needs --stereo with one recording of both cameras; omit the option, or the right video",
     ),
-    (lambda run: run.track is not None and run.mono is None, "--track needs --mono; two tracks are --stereo FILE"),
+    (lambda run: run.track is not None and run.mono is None, "--track needs --mono; give --stereo FILE for two tracks"),
     (
         lambda run: len(run.topics) > 1 and len({*zip(run.videos, run.topics, strict=True)}) == 1,
         "--topics: expected the topics of two cameras, got {topic} twice",
@@ -261,7 +261,7 @@ _CONTRADICTIONS: tuple[tuple[Callable[[RunSettings], bool], str], ...] = (  # wh
     (lambda run: None not in (run.rig, run.focal_px), "give --rig or --focal-px, not both"),
     (
         lambda run: run.yaw_deg != 0 and run.mono is None,
-        "--yaw-deg needs --mono: the right camera of a pair is to the side of the left one only ahead",
+        "--yaw-deg needs --mono: the cameras of a pair are side by side only when they look ahead",
     ),
     (
         lambda run: run.keep_gps and run.anonymize,

@@ -162,21 +162,21 @@ def without_folders(run: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _name(value: Any) -> Any:
-    """File name of a path, or of each path of a list; addresses of streams stay."""
+    """File name of a path, or of each path of a list; addresses of streams are kept."""
     if isinstance(value, list | tuple):
         return [_name(path) for path in value]
     return value if live_address(value) else os.path.basename(os.path.normpath(value))
 
 
 def input_files(settings: RunSettings) -> list[Path]:
-    """All files that a run reads, and words in the place of files."""
+    """All files that a run reads, and words given instead of files."""
     named = (getattr(settings, name) for name in RunSettings.model_fields if name in _INPUT_FILES)
     videos = (file for video in settings.videos for file in files_of(video))
     return [*videos, *(Path(name) for name in named if name is not None)]
 
 
 def assumed_rate(settings: RunSettings, recording: Recording) -> tuple[str, ...]:
-    """A note on images without times of which the user gave no frame rate."""
+    """A note on images without times for which the user gave no frame rate."""
     has_times = all(getattr(video, "has_times", True) for video in recording.videos)
     if has_times or settings.folder_fps != RunSettings.model_fields["folder_fps"].default:
         return ()

@@ -76,7 +76,7 @@ def _drive(settings: SimulationSettings, progress: StepProgress) -> Simulated:
     if rig is not None and rig.left.is_wide and (settings.disparity or settings.masks):
         raise UsageError("--disparity, --masks: expected a rig of pinholes, found a wide lens; omit these options.")
     if settings.stereo_layout is not None and settings.drop_fraction:
-        raise UsageError("--drop-frames: two cameras drop different frames; omit it, or --stereo-layout.")
+        raise UsageError("--drop-frames: two cameras drop different frames; omit --drop-frames or --stereo-layout.")
     with locked_output(settings.out), progress("rendering") as advance:
         drive = write_drive(
             settings.out,

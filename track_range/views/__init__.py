@@ -1,1 +1,1 @@
-"""What people look at: overlay, event clips, report, live view, anonymization, and the writer of videos."""
+"""Views of results: overlay, event clips, report, live view, anonymization, and the writer of videos."""

@@ -4,7 +4,7 @@
               truncated or more than largely occluded; also unmatched results at most 25 px high, or with more than half
               of their area in a DontCare region. The remaining truth of the class counts.
     MOT16-20  results that match a person on a vehicle, a static person, a distractor or a reflection are dropped, in
-              MOT20 also removes boxes that match a vehicle without a motor. Truth that is flagged as evaluated and of
+    MOT20 also results that match a vehicle without a motor. Truth that is flagged as evaluated and of
               the class pedestrian counts.
     MOT15     truth that is flagged as evaluated counts.
 
@@ -72,7 +72,7 @@ def of_kitti_type(labels: KittiLabels, types: Sequence[str]) -> BoolArray:
 def mot_cleaned(truth: MotRows, results: TrackedBoxes, *, is_mot20: bool = False) -> tuple[TrackedBoxes, TrackedBoxes]:
     """Truth and results that count in MOTChallenge's evaluation; truth without classes (MOT15) has no distractors.
 
-    `is_mot20`: the truth is of MOT20, which is also known from its class crowd.
+    `is_mot20`: the truth is MOT20's, as its class crowd also shows.
     """
     is_true = truth.score != 0
     has_classes = bool((truth.mot_class > 0).any())

@@ -14,7 +14,7 @@ _MIN_GAIN = 0.005  # smallest gain of the mean IoU by the shift; boxes of static
 
 
 def frame_shift(truth_frame: IntArray, truth_px: FloatArray, frame: IntArray, xyxy_px: FloatArray) -> int:
-    """The number that added to the frame numbers of boxes makes them match truth boxes best.
+    """The number that, added to the frame numbers of boxes, makes them match truth boxes best.
 
     0 also if there are too few boxes, or if the difference is too small to be certain.
     """
@@ -29,7 +29,7 @@ def frame_shift(truth_frame: IntArray, truth_px: FloatArray, frame: IntArray, xy
 
 
 def voted_shift(truth_frame: IntArray, truth_px: FloatArray, frame: IntArray, xyxy_px: FloatArray) -> int:
-    """The shift with the largest sum of IoU between truth boxes of some frames and the boxes of all; 0 = no boxes."""
+    """The shift with the largest sum of IoU between truth boxes of some frames and all boxes; 0 = no boxes."""
     if not len(truth_frame) or not len(frame):
         return 0
     order = np.argsort(frame, kind="stable")

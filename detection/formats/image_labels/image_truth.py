@@ -21,9 +21,9 @@ _KITTI_COMPLETE: BoolArray = np.isin(ROAD_CLASSES, ("person", "bicycle", "car", 
 class ImageTruth:
     """The M labels of one image.
 
-    `is_region`: (M,) ignored region of many objects: any number of detections match it, by their fraction inside the
-    region instead of their IoU. `confidence`: (M,) float64 probability that there is such an object: 1 for labels, less
-    for pseudo-labels.
+    `is_region`: (M,) ignored region of many objects: any number of detections can match it, by their fraction inside
+    the region instead of their IoU. `confidence`: (M,) float64 probability that there is such an object: 1 for labels,
+    less for pseudo-labels.
     """
 
     xyxy_px: FloatArray  # (M, 4) float64, pixel centres at integers

@@ -89,7 +89,7 @@ def read_sequence(labels: Path) -> Callable[[int], ImageTruth]:
 
 
 def read_manifest(path: Path) -> dict[str, tuple[str, BoolArray]]:
-    """From a CSV, by file name: the split, and (8,) which road classes are completely labelled. Raises LabelFileError.
+    """The split and the (8,) mask of completely labelled road classes of each file in a CSV. Raises LabelFileError.
 
     Its columns are file, split, and labels_complete: eight flags such as 10111100, in the order of the road classes.
     """
@@ -166,4 +166,4 @@ IMAGE_LABELS: Mapping[str, Callable[[Sequence[Path], Path, Sequence[str] | None]
     "kitti": _kitti,
     "coco": _coco,
 }
-"""Readers by format: from the images, the folder or file of labels, and YOLO's class names."""
+"""Readers by format; their arguments are the images, the folder or file of labels, and YOLO's class names."""

@@ -172,7 +172,7 @@ class CocoFile:
         )
 
     def boxes(self, frame_of: Mapping[int | str, int]) -> tuple[list[CocoBox], int]:
-        """All annotations with width and height, and the number of others; `frame_of` has the frame by image id."""
+        """All annotations with width and height, and the number of all others; `frame_of` has the frame by image id."""
         boxes, n_empty = [], 0
         for where, item in self._section("annotations"):
             image, category = self._id(item, "image_id", where), self._id(item, "category_id", where)
@@ -217,7 +217,7 @@ class CocoFile:
         return value
 
     def _identity(self, item: _Object, key: str, where: str) -> int:
-        """The number of an object; with names, as in Waymo's ids, the number of the first occurrence of its name."""
+        """The number of an object; if ids are names, as Waymo's are, the number of the first occurrence of the name."""
         name = item[key]
         is_named = isinstance(name, str) and 0 < len(name) <= _MAX_TEXT
         if is_named and not self._has_numbers:

@@ -250,7 +250,7 @@ def _detrac(content: Any) -> Iterator[_Box]:
 
 
 class Layout(NamedTuple):
-    """A layout: title, what identifies it in the first 64 kB of a file, and its boxes."""
+    """A layout: its title, what identifies it in the first 64 kB of a file, and a function that lists the boxes."""
 
     title: str
     mark: str  # regular expression
@@ -298,7 +298,7 @@ def label_files(folder: Path) -> list[Path]:
 
 
 def read_layout(name: str) -> Callable[[Path, VideoFacts], BoxTable]:
-    """Reader of a layout. It raises LabelFileError: a file cannot be read, or is invalid or too large."""
+    """Reader of a layout. It raises LabelFileError if a file cannot be read, is invalid or is too large."""
     return lambda path, video: _read(path, LAYOUTS[name], video)
 
 

@@ -144,7 +144,7 @@ def _combined(
 def _transformed_labels(
     source: LabelledPixels, matrix: FloatArray, part: _Part
 ) -> tuple[FloatArray, IntArray, BoolArray, FloatArray]:
-    """Boxes clipped to the part, classes, ignored flags (also for too small a visible part) and confidences."""
+    """Boxes clipped to the part, with classes, ignored flags (also set if too little is visible) and confidences."""
     low, high = source.xyxy[:, None, :2], source.xyxy[:, None, 2:]
     corners = (low + (high - low) * _CORNERS) @ matrix[:, :2].T + matrix[:, 2]
     full = np.concatenate([corners.min(1), corners.max(1)], axis=1).reshape(-1, 4)

@@ -15,8 +15,8 @@ If an entry is another data.yaml, its images of the same split are used; they co
 data.yaml does not name. Names that are not road classes are ignored. A pseudo-label that does not overlap a label is an
 object if its score is at least 0.5 (cars: 0.4) and its class is not completely labelled in the image; otherwise the box
 is ignored, so that a detection there is neither a true nor a false positive. With `pseudo_scores: probabilities`, each
-one of a class that is not completely labelled is an object whose confidence is its score, and the classes that the
-detector knows count as completely labelled. `detection.training.ensemble` makes such pseudo-labels.
+pseudo-label of a class that is not completely labelled is an object whose confidence is the score, and the classes that
+the detector knows count as completely labelled. `detection.training.ensemble` makes such pseudo-labels.
 """
 
 from __future__ import annotations
@@ -275,7 +275,7 @@ class _Reader:
     def _nested(self, path: Path, split: str) -> list[LabelledImage]:
         """The same split of another data.yaml; classes that this data.yaml does not name are marked as not labelled."""
         if self._is_alone:
-            self._notes.append(f"Left out the images of {path} for '{split}', which have separate pseudo-labels.")
+            self._notes.append(f"Images of {path} for '{split}' that have separate pseudo-labels are left out.")
             return []
         data = read_data_yaml(path, within=self._within)
         named = np.isin(np.arange(len(ROAD_CLASSES)), data.road_class_id)
@@ -352,7 +352,7 @@ class _Reader:
 
 
 def _first_of_each(items: Sequence[LabelledImage]) -> list[LabelledImage]:
-    """The images without repetitions, by which lists of images draw rare images more often."""
+    """The images without the repetitions by which lists of images draw rare images more often."""
     return list({real_path(item.path): item for item in reversed(items)}.values())[::-1]
 
 

@@ -39,7 +39,7 @@ _MATCH_IOU = 0.5  # of a fused box with the label of the same object
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """Fused boxes of one class, in images in which it is completely labelled."""
+    """Fused boxes of one class, in images in which the class is completely labelled."""
 
     score: FloatArray  # (M, D) score of each detector
     is_match: BoolArray  # (M,) whether there is a label

@@ -119,7 +119,7 @@ def pseudo_labels(
 
 
 def _combined(xyxy: FloatArray, probability: FloatArray, other: YoloLabels) -> FloatArray:
-    """(K, 8) mean log-odds of the fused boxes' probabilities and another detector's; 0 where neither has the class."""
+    """(K, 8) mean log-odds of the fused boxes and of another detector's boxes; 0 where neither has the class."""
     other_score = np.zeros((len(xyxy), len(ROAD_CLASSES)))
     box, detection = np.nonzero(iou(xyxy, other.xyxy) > _SAME_OBJECT_IOU)
     np.maximum.at(other_score, (box, other.class_id[detection]), other.score[detection])

@@ -73,7 +73,7 @@ def assign(objects: LabelledObjects, network: AnchorNetwork, head: int, grid_hw:
 
 
 def _with_neighbours(centre: Tensor, grid_hw: tuple[int, int], *, reach: float) -> tuple[Tensor, Tensor]:
-    """(P, 2) int64 x and y of the cells of centres (Q, 2), given in cells, and (P,) the index of their centre."""
+    """(P, 2) int64 x and y of the cells of centres (Q, 2), given in cells, and (P,) index of the cell's centre."""
     own = centre.floor()
     index = torch.arange(len(centre), device=centre.device)
     cells, source = [own], [index]

@@ -45,7 +45,7 @@ def rounded_weights(weights: Tensor) -> Tensor:
 
 
 class ConvolutionBlock(nn.Module):
-    """Convolution without bias, batch norm and activation (default SiLU), with "same" padding by default."""
+    """Convolution (without bias), batch norm and activation (default SiLU), with "same" padding by default."""
 
     def __init__(
         self,

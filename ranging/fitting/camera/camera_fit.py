@@ -291,7 +291,7 @@ class _Terms:
                 slope = side_px / side_m
                 value = below_px - math.exp(log_h) * slope
                 sigma = math.hypot(self._row_sigma(slope, known), math.exp(self._fixed[_LOG_H]) * slope * side_sigma)
-                rows.append(Residual(known.name, f"bottom edge with the known {name}", value, sigma, "px"))
+                rows.append(Residual(known.name, f"bottom edge, given the {name}", value, sigma, "px"))
         return rows
 
     def _of_lane(self, theta: FloatArray, lane: KnownLane) -> Residual:
@@ -321,8 +321,8 @@ class _Terms:
     def _start_from(self, theta: FloatArray) -> None:
         """Fix what must not depend on the parameters during a fit.
 
-        That are standard deviations, and f / Z' in px/m of other road users with Z' by size, which would repeat what
-        the shapes of their boxes contribute to the prior of f.
+        These are the standard deviations, and f / Z' in px/m of other road users with Z' by size, which would repeat
+        what the shapes of their boxes contribute to the prior of f.
         """
         self._fixed = theta
         distance_m = np.exp(self._scene_by_size.at(theta[_LOG_F])) - self._scene_offset_m

@@ -123,7 +123,7 @@ def plain_values(text: str, path: Path, expected: str = EXPECTED) -> dict[str, A
 
 
 def yaml_of_opencv(text: str) -> str:
-    """YAML for the YAML of OpenCV's FileStorage, whose first line, tags and spaces differ; lines keep their number."""
+    """Standard YAML from OpenCV's FileStorage, whose first line, tags and spaces differ; lines keep their number."""
     if not text.lstrip().startswith("%YAML"):
         return text
     return _NO_SPACE.sub(r"\1: ", _YAML_HEAD.sub(lambda match: "\n" * match[0].count("\n"), text))

@@ -200,7 +200,7 @@ def _leaves(value: object, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, .
 
 
 def _named(path: tuple[str, ...], value: Any) -> tuple[Side, str | None]:
-    """The side and the quantity of a value by its keys; None for another one."""
+    """The side and the quantity of a value by its keys; None if the keys name no quantity."""
     words = [_SEPARATORS.sub("", key.lower()) for key in path]
     around = [match for word in words[:-1] if (match := _AROUND.fullmatch(word))]
     side = _side_of(around[-1]) if around else None
@@ -221,7 +221,7 @@ def _named(path: tuple[str, ...], value: Any) -> tuple[Side, str | None]:
 
 
 def _direction(path: tuple[str, ...]) -> int | None:
-    """1 = from the first camera to the second by a key, -1 = reverse, 0 = of other cameras; None = no such key."""
+    """Direction in a key: 1 = from the first camera to the second, -1 = reverse, 0 = of other cameras; None = none."""
     for key in path[:-1]:
         if match := _BETWEEN.fullmatch(_SEPARATORS.sub("", key.lower())):
             sides = [_side_of(_AROUND.fullmatch(word)) for word in match.groups()]
@@ -240,7 +240,7 @@ def _word_side(word: str) -> Side:
 
 
 def _value(value: Any, quantity: str, key: str, source: object) -> Any:
-    """(N,) numbers of a value, or the text of a unit or model; None for what is neither."""
+    """(N,) numbers of a value, or the text of a unit or model; None for other values."""
     if quantity in ("unit", "model"):
         return value if isinstance(value, str) else None
     if value is None or (isinstance(value, dict) and value.get("data") == [] and "rows" in value):  # a large matrix

@@ -65,13 +65,13 @@ def test_failed_check(cli, monkeypatch):
 @pytest.mark.parametrize(
     ("boxes", "is_right", "words"),
     [
-        (BOXES[[2, 1, 0]] + [0, 0, 2.5, -1, -0.08], True, "boxes within 2.5 px and 0.08 of score of the CPU's"),
-        (BOXES + np.eye(5)[0] * 3.5, False, "boxes within 3.5 px and 0.00 of score"),
-        (BOXES - [0, 0, 0, 0, 0.12], False, "boxes within 0.0 px and 0.12 of score"),
-        (BOXES[:2], True, "boxes within 0.0 px and 0.00 of score"),  # the third one is no clear object
-        (BOXES[:1], False, "boxes within 50.0 px"),
-        (BOXES[:0], False, "boxes within inf px"),
-        (np.full((1, 5), math.nan), False, "boxes within nan px"),
+        (BOXES[[2, 1, 0]] + [0, 0, 2.5, -1, -0.08], True, "boxes up to 2.5 px and scores up to 0.08 off the CPU's"),
+        (BOXES + np.eye(5)[0] * 3.5, False, "boxes up to 3.5 px and scores up to 0.00"),
+        (BOXES - [0, 0, 0, 0, 0.12], False, "boxes up to 0.0 px and scores up to 0.12"),
+        (BOXES[:2], True, "boxes up to 0.0 px and scores up to 0.00"),  # the third one is no clear object
+        (BOXES[:1], False, "boxes up to 50.0 px"),
+        (BOXES[:0], False, "boxes up to inf px"),
+        (np.full((1, 5), math.nan), False, "boxes up to nan px"),
     ],
 )
 def test_devices(cli, monkeypatch, boxes, is_right, words):
@@ -81,7 +81,7 @@ def test_devices(cli, monkeypatch, boxes, is_right, words):
     assert status == (0 if is_right else 1)
     assert report["inference"]["device cpu"] == "10.0 ms per image"
     assert report["inference"]["device openvino"] == "not available (install openvino)"
-    assert report["inference"]["device cuda"].startswith(f"1.5 ms per image, {words}")
+    assert report["inference"]["device cuda"].startswith(f"1.5 ms per image; {words}")
     assert ("the boxes found on cuda" in complaint) == (not is_right)
     assert is_right == (report["checks"]["devices"] == "ok")
 

@@ -166,7 +166,7 @@ def test_damaged_images_and_dependent_validation(drawn, tmp_path, cli):
     assert status == 0
     assert "1 image cannot be read" in printed
     assert "train-003.png: " in printed
-    assert "no independent test" in printed
+    assert "not an independent test" in printed
     assert "only boxes to ignore" in printed  # without a manifest, all classes are labelled completely
     assert not (tmp_path / "soft/train-003.txt").exists()
 

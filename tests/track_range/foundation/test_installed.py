@@ -35,7 +35,7 @@ def only(monkeypatch):
             {"opencv-python": "4.9", "opencv-python-headless": "5.0"},
             ["opencv-python-headless", "opencv-python"],
             "opencv-python-headless 5.0 and opencv-python 4.9 are installed and overwrite each other's files: "
-            "pip uninstall -y opencv-python-headless opencv-python, then pip install the one that you need.",
+            "pip uninstall -y opencv-python-headless opencv-python, then pip install the package that you need.",
         ),
         ({"onnxruntime": "1.32", "onnxruntime-openvino": "1.24"}, [], "onnxruntime 1.32 and onnxruntime-openvino 1.24"),
     ],

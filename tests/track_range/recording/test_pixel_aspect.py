@@ -56,7 +56,7 @@ def test_a_calibration_that_contradicts_the_pixel_aspect(video):
     camera = PinholeCamera(150.0, 150.0, 31.5, 23.5, 64, 48)
     recording = open_recording(video, rig=StereoRig.rectified(camera, 0.5))
     assert recording.camera == camera
-    assert any("By the video, they are 2 times" in note for note in recording.notes)
+    assert any("According to the video, they are 2 times" in note for note in recording.notes)
     recording.close()
 
 

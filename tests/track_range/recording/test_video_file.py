@@ -425,7 +425,7 @@ def test_repeated_images(
     images = [level(number // n_each % 40) for number in range(40)] + [level(0)] * 20
     reader = open_video(film(tmp_path / "film.mp4", [n / 10 for n in range(60)], images=images, options={"crf": "0"}))
     list(reader)
-    notes = [note for note in reader.notes if "repeat the image" in note]
+    notes = [note for note in reader.notes if "repeat the previous image" in note]
     assert [f" {n_repeated} frames of 60" in note for note in notes] == [True] * bool(n_repeated)
 
 

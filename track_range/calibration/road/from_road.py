@@ -123,10 +123,10 @@ def calibrate_on_road(
         duration_s = (reader.n_frames or 0) / reader.fps if reader.fps else 0.0
         guesses = focal_guesses(reader, settings.camera_model)
     for known in objects:
-        hint = "a box inside of the image of {} px; measure it in the original video"
+        hint = "a box inside the image of {} px; measure it in the original video"
         _check_inside(known.text, hint, known.xyxy_px, known.time_s, size_px, duration_s)
     for lane in lanes:
-        (x1, x2), hint = sorted((lane.x1_px, lane.x2_px)), "columns and a row inside of the image of {} px"
+        (x1, x2), hint = sorted((lane.x1_px, lane.x2_px)), "columns and a row inside the image of {} px"
         name = f"--known-lane-width {lane.name}"
         _check_inside(name, hint, (x1, lane.y_px, x2, lane.y_px), lane.time_s, size_px, duration_s)
     start = focal_posterior(guesses, SceneBoxes(), size_px, None)
@@ -163,7 +163,7 @@ def calibrate_on_road(
     if not low <= fit.height_m <= high:
         raise UsageError(
             f"expected measurements that give a camera height of {low:g} to {high:g} m, found {fit.height_m:.2f} m; "
-            "check the boxes, the rows of lanes, and the metres."
+            "check the boxes, the rows of lanes, and the distances in metres."
         )
     sentences = separability(fit, guesses, by_shape, has_height=settings.camera_height_m is not None)
     return RoadCalibration(settings.mono, fit, guesses, by_shape, sentences, view.n_frames)
@@ -295,6 +295,6 @@ def separability(
         )
     if abs(fit.correlation("camera height", "horizon")) > _INSEPARABLE:
         sentences.append(
-            "Camera height and pitch cannot be separated: add a distance at least twice as long or half as long."
+            "Camera height and pitch cannot be separated: add a distance of at least twice or at most half the length."
         )
     return tuple(sentences)

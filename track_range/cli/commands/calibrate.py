@@ -46,7 +46,7 @@ def _calibrate(settings: CalibrationSettings) -> None:
 
 
 def _check(settings: CalibrationSettings) -> None:
-    """Refuse impossible lenses and options of the other calibration, on the road or with a board: UsageError."""
+    """Raise UsageError for impossible lenses, and for options of the other calibration (from the road or boards)."""
     if settings.is_from_road and settings.lens != "pinhole":
         raise UsageError(
             f"--lens {settings.lens}: expected --board, since a drive does not show the lens's distortion."
@@ -134,8 +134,8 @@ def _print_cameras(cameras: Mapping[str, CameraCalibration]) -> None:
             f"cx {camera.cx_px:.2f} ± {std.cx_px:.2f}, cy {camera.cy_px:.2f} ± {std.cy_px:.2f} px; "
             f"residual {calibration.rms_px:.3f} px RMS over {len(calibration.fits)} views.",
             f"{margin}  distortion coefficients{model} {lens}.",
-            f"{margin}  coverage: corners at {width} of the width and {height} of the height, boards {sizes} of the "
-            f"image side, tilts {coverage.tilt_range_deg[0]:.0f} to {coverage.tilt_range_deg[1]:.0f} degrees.",
+            f"{margin}  coverage: corners at {width} of the width, {height} of the height; boards from {sizes} of the "
+            f"image side; tilts from {coverage.tilt_range_deg[0]:.0f} to {coverage.tilt_range_deg[1]:.0f} degrees.",
         )
 
 

@@ -167,7 +167,7 @@ def _device_text(device: Device) -> str:
     if missing := tested(device).missing:
         return missing
     px, score = _differences(device)
-    difference = "" if device == "cpu" else f", boxes within {px:.1f} px and {score:.2f} of score of the CPU's"
+    difference = "" if device == "cpu" else f"; boxes up to {px:.1f} px and scores up to {score:.2f} off the CPU's"
     return f"{tested(device).time_ms:.1f} ms per image{difference}"
 
 
@@ -260,7 +260,7 @@ def _check_run() -> str:
 
 
 def _check_devices() -> str:
-    """Whether the devices of this machine find the CPU's boxes."""
+    """Whether the devices of this machine find the same boxes as the CPU."""
     devices = [name for name in get_args(Device) if name not in ("auto", "cpu") and not tested(name).missing]
     wrong = [name for name in devices if not np.less_equal(_differences(name), MAX_DIFFERENCES).all()]
     return (

@@ -85,8 +85,8 @@ def _convert(options: ConvertOptions) -> None:
     shift_m = float(np.linalg.norm(reading.left_from_reference_m(source, is_grey=False, size_px=size_px)))
     if shift_m:  # of KITTI files
         notes.append(
-            f"The reference frame of KITTI labels is {shift_m:.3f} m from the left camera, which OUT does not store: "
-            f"use --rig {source.name} in runs with --truth."
+            f"OUT does not store that the reference frame of KITTI labels is {shift_m:.3f} m from the left camera: use "
+            f"--rig {source.name} in runs with --truth."
         )
     comments = [f"from {source.name}"]
     if options.to == _OURS and isinstance(calibration, PinholeCamera):

@@ -38,7 +38,7 @@ class RunView(Options):
         ),
     ] = None
     verbose: Annotated[
-        bool, option("At the end, print also coverage, uncertainty and run time of each method.", panel="Output")
+        bool, option("Coverage, uncertainty and run time of each method, printed at the end.", panel="Output")
     ] = False
     show: Annotated[bool, option("Live view of the overlay in a browser.", panel="Output")] = False
     serve: Annotated[

@@ -44,7 +44,7 @@ BOX_FILES = ("truth.csv", "truth.txt")  # labels of a simulated drive beside its
 _MAX_SUMMARY_BYTES = 50_000_000
 _MAX_HOURS = 1e6
 
-BY_BOXES = "object of a warning: the object whose labelled boxes its track overlaps most often (IoU at least 0.3)"
+BY_BOXES = "object of a warning: the labelled object that the warning's track overlaps most often (IoU at least 0.3)"
 BY_TIME = (
     "object of a warning: the object of a contact of the same class with the same number, or at most 10 s after the "
     "warning"
@@ -122,7 +122,7 @@ class _Inputs:
     last_s: float = math.inf  # time after which there are no events: `ends_s`, or that of the last row
 
     def columns(self, path: Path | None) -> Columns | None:
-        """Rows of the run; None without a file, or if that beside the events cannot be read."""
+        """Rows of the run; None without a file, or if the file beside the events cannot be read."""
         if path is not None:
             return read_run_rows(path, self.notes)
         beside = next((self.folder / name for name in TRACK_FILES if (self.folder / name).is_file()), None)
@@ -191,7 +191,7 @@ class _Inputs:
         return {**files, "protocol": protocol, "notes": self.notes}
 
     def last_hours(self, events: Sequence[Event], times_s: Sequence[float]) -> float | None:
-        """Time of the last event or contact as the smallest possible duration, with a note; None without any."""
+        """Time of the last event or contact as the smallest possible duration, with a note; None if there are none."""
         last_s = max([*(event.end_s for event in events), *times_s], default=0.0)
         if last_s <= 0:
             self.notes.append(
@@ -206,7 +206,7 @@ class _Inputs:
 
 
 def _number(content: Any, *keys: str) -> float | None:
-    """Number below nested keys; None without one."""
+    """Number below nested keys; None if there is none."""
     for key in keys:
         content = content.get(key) if isinstance(content, dict) else None
     return float(content) if isinstance(content, int | float) and not isinstance(content, bool) else None

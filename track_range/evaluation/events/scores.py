@@ -109,7 +109,7 @@ def contact_scores(
 ) -> Scores:
     """Scores of collision warnings against all contacts of a drive of `hours`; None = unknown.
 
-    Events that are no warnings are ignored. `object_ids` are the identities of the objects of the N events; None =
+    Events that are not warnings are ignored. `object_ids` are the identities of the objects of the N events; None =
     none, or unknown. `min_lead_s` is the shortest lead of a hit.
     """
     on_contact: dict[int, list[Event]] = {}
@@ -196,7 +196,7 @@ def are_same_class(one: str, other: str) -> bool:
 
 
 def _sections(results: Iterable[tuple[str, str, float | None]], kinds: Sequence[str], hours: float | None) -> Scores:
-    """Sections of results, which are a kind, the name of the count, and the lead of a hit."""
+    """Sections of the results; each result has a kind, the name of a count, and the lead of a hit."""
     results = list(results)
 
     def section(chosen: Sequence[tuple[str, str, float | None]]) -> dict[str, Any]:

@@ -46,7 +46,7 @@ class EventEvaluationSettings(Options):
     min_lead_s: Annotated[
         float,
         option(
-            "Smallest time in seconds between a warning and the contact for the warning to count as a hit.",
+            "Minimum time in seconds from a warning to the contact, for the warning to count as a hit.",
             flag="--min-lead",
             metavar="S",
             ge=0,

@@ -126,7 +126,7 @@ def track_slopes(
 ) -> FloatArray:
     """(N, V) slopes per second of the values (N, V) of each track, by straight lines within the half span.
 
-    `key` (K, N) identifies tracks. NaN where less than `min_side_s` before or after is labelled, or only one label is.
+    `key` (K, N) identifies tracks. NaN where less than `min_side_s` before or after is labelled, or for a single label.
     """
     slopes = np.full(values.shape, np.nan)
     order = np.lexsort((time_s, *key))

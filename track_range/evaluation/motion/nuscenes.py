@@ -32,7 +32,7 @@ _HALF_SPAN_S, _MIN_SIDE_S = 0.6, 0.35  # of slopes: one label, half a second bef
 
 @dataclass(frozen=True, slots=True)
 class Mono3dLabels:
-    """N labelled boxes that end inside of the image, each camera being a sequence."""
+    """N labelled boxes that end inside the image; each camera is a sequence."""
 
     boxes: BoxSet
     velocity_mps: FloatArray  # (N, 2) over ground, along x and z of the camera; NaN = unknown
@@ -102,7 +102,7 @@ def _labels(content: Any) -> Mono3dLabels:
 
 
 def _poses(images: list[Any], name: str) -> FloatArray:
-    """(N, 4, 4) rotations and translations of this name."""
+    """(N, 4, 4) transforms from the keys `name`_rotation and `name`_translation."""
     pose = np.tile(np.eye(4), (len(images), 1, 1))
     quaternions = np.array([image[f"{name}_rotation"] for image in images])
     pose[:, :3, :3] = Rotation.from_quat(quaternions, scalar_first=True).as_matrix()

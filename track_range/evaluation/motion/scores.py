@@ -6,7 +6,7 @@ have one. The errors of times to collision T are defined as in TSTTC (Shi et al.
 
     RTE   mean |T - T*| / T*           MiD   10^4 mean |log s - log s*|,  s = T / (T + 0.1 s)       T*: true time
 
-s is the ratio of the object's size 0.1 s before to that now.
+s is the ratio of the object's size 0.1 s before to its size now.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ _TTC_LIMIT_S = 20.0  # to which measured times are clipped
 _STEP_S = 0.1  # interval of the size ratio s
 
 _SCALE_ERROR, _CLOSING_ERROR_MPS, _PATH_HALF_WIDTH_M = 0.1, 1.5, 2.0
-"""Cause of a false alarm: relative error of the distance, error of the closing speed, and lateral offset at which the
-object will truly pass, beyond which each is the cause, in this order."""
+"""Limits above which each is the cause of a false alarm, in this order: relative error of the distance, error of the
+closing speed, and lateral offset at which the object will truly pass."""
 
 
 def motion_figures(truth: LabelledMotion, measured: MeasuredMotion) -> dict[str, Any]:
@@ -70,7 +70,7 @@ def speed_figures(values: FloatArray, rows: BoolArray) -> dict[str, float | None
 
 
 def ttc_figures(ttc_s: FloatArray, true_s: FloatArray, limit_s: float) -> dict[str, float | None]:
-    """Errors of (N,) times to collision where the true one is at most `limit_s`; None without an answer."""
+    """Errors of (N,) times to collision where the true time is at most `limit_s`; None without an answer."""
     known = (true_s > 0) & (true_s <= limit_s)
     rows = known & np.isfinite(ttc_s)
     figures: dict[str, float | None] = dict.fromkeys(("median_pct", "rte_pct", "mid"))

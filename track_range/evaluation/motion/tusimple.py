@@ -83,7 +83,7 @@ def vehicle_columns(vehicles: Any) -> FloatArray:
 
 
 def vehicle_boxes(labels: FloatArray, clip: IntArray) -> BoxSet:
-    """Boxes of the labels (N, 8) of the clips (N,), whose last images are separate ones."""
+    """Boxes of the labels (N, 8) in the last images of the clips (N,), which are separate images."""
     n = len(labels)
     return BoxSet.without_3d_boxes(
         sequence_names=("tusimple",),

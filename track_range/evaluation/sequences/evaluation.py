@@ -100,7 +100,7 @@ def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
 
 
 def _form_of(path: Path) -> str:
-    """The format of a file of ground truth; an empty one is taken to be KITTI's."""
+    """The format of a file of ground truth; an empty file is taken to be KITTI's."""
     if is_blank(path, "ground truth"):
         return "kitti"
     name = label_format_of(path, "ground truth").name
@@ -137,8 +137,8 @@ def _other_classes_note(paths: Iterable[Path], road_class: str) -> tuple[str, ..
     if not (counts := names_with_counts(np.concatenate([np.zeros(0, np.str_), *names]))):
         return ()
     return (
-        f"No track has the class {road_class} that is evaluated; the boxes of the results have the classes {counts}; "
-        "choose one with --class.",
+        f"No track has the evaluated class {road_class}; the boxes of the results have the classes {counts}; choose "
+        "one with --class.",
     )
 
 

@@ -92,8 +92,8 @@ class TrackSettings(Options):
     online: Annotated[
         bool,
         option(
-            "Tracks as a live run reports them, without filled gaps and without boxes from before a track was "
-            "confirmed."
+            "Tracks as a live run reports them, without filled gaps and without boxes before the confirmation of a "
+            "track."
         ),
     ] = False
     kitti: Annotated[bool, option("Additional output of the tracks in KITTI's format, kitti/NAME.txt.")] = False

@@ -269,7 +269,7 @@ def track_sequence(
 
 
 def _size_and_outside(xyxy_px: FloatArray, image: Image) -> tuple[str, BoolArray]:
-    """The size of the image of a frame in words, and which (N,) of its boxes have centres outside of it."""
+    """The size of the image of a frame in words, and (N,) whether the centres of its boxes are outside the image."""
     height, width = image.shape[:2]
     centre = (xyxy_px[:, :2] + xyxy_px[:, 2:]) / 2
     outside = (centre < -0.5) | (centre > [width - 0.5, height - 0.5])

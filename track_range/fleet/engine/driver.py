@@ -3,8 +3,8 @@
     todo -> worker -> record in the journal -> clips.parquet
              |  worker lost: again at the end of the queue, or a record with an error
 
-A clip is a task of Ray, which never repeats it: only the driver knows how a clip has failed. It has one clip per worker
-in progress, and only the names of all other clips.
+A clip is a task of Ray, which never repeats it: only the driver knows how a clip has failed. The driver holds one clip
+per worker in progress, and only the names of all other clips.
 
 failure                              attempts in all
 input, internal (application error)  1

@@ -38,7 +38,7 @@ _SHARED_FILES = RunSettings.fields_where(is_file) - _NOT_TAKEN  # that are, or m
 
 
 class FileNames:
-    """Names of the videos of a clip ("" = one camera), anonymized without folders, which may name a person."""
+    """Names of the videos of a clip ("" = one camera), if anonymized without folders, which may name a person."""
 
     def __init__(self, clip: Clip, *, is_anonymized: bool) -> None:
         self._is_anonymized = is_anonymized
@@ -58,7 +58,7 @@ class FileNames:
 
 
 def _folders(location: Location) -> Iterable[str]:
-    """Texts before the name of a file, as messages contain them; for folders of images, before its last part."""
+    """Texts before the name of a file, as messages contain them; for folders of images, before the folder's name."""
     if not location.is_local:
         return [f"{str(location).partition('?')[0].rpartition('/')[0]}/"]
     parents = (location.path.parent, Path(os.path.realpath(location.path)).parent)
@@ -87,7 +87,7 @@ class ClipOutcome:
 
 @dataclass(slots=True)
 class ClipProgress:
-    """Progress of the clip that a worker is at; written by one thread and read by another."""
+    """Progress of the clip that a worker processes; written by one thread and read by another."""
 
     phase: str = "starting"  # or "fetching", "opening", "processing", "publishing"
     frames: int = 0

@@ -31,7 +31,7 @@ class _Known(NamedTuple):
 def remaining(
     clips: Sequence[Clip], table: ClipTable, settings_hash: str, *, is_failed_repeated: bool
 ) -> tuple[list[ClipTask], int, int]:
-    """Clips without a result for the present files and settings; numbers of complete ones, and of failed ones.
+    """Clips without a result for the present files and settings; numbers of complete and of failed clips.
 
     Files are compared by size and time of change; where these differ, the worker compares the content. Failed clips
     are repeated if something has changed, or `is_failed_repeated`.
@@ -72,7 +72,7 @@ def _known(table: ClipTable) -> Iterator[tuple[str, _Known]]:
 
 
 def present_fingerprint(clip: Clip, listings: FolderListings | None = None) -> str:
-    """`fingerprint` of a clip's files as they are (`listings`: were); "" if the storage cannot be reached."""
+    """`fingerprint` of a clip's files now (or when `listings` were made); "" if the storage cannot be reached."""
     listings = listings or FolderListings()
     try:
         states = {role: listings.state(Location.of(address)) for role, address in clip.files(listings.stat).items()}

@@ -37,7 +37,7 @@ SharedFiles = Mapping[str, tuple[str, bytes]]  # name and content of the files t
 
 @dataclass(frozen=True, slots=True)
 class WorkerState:
-    """Process, machine, id of the node in Ray, progress and resident memory of a worker that is at a clip."""
+    """Process, machine, id of the node in Ray, progress and resident memory of a worker that processes a clip."""
 
     pid: int
     host: str
@@ -98,7 +98,7 @@ def _resident_bytes() -> int:
 
 
 def reset_peak_memory() -> None:
-    """Let the peak of this process begin now (Linux, proc_pid_clear_refs(5))."""
+    """Restart the measurement of the peak memory (Linux, proc_pid_clear_refs(5))."""
     with suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")
 

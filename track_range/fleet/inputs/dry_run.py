@@ -94,7 +94,7 @@ class _Check:
         return cast(LayoutOption | None, self.clip.settings.get("stereo_layout", self.stereo_layout))
 
     def _half(self, path: Path, layout: LayoutOption, whole: _Header) -> _Header:
-        """The properties of one camera in a video with the images of two."""
+        """The properties of one camera in a video with the images of two cameras."""
         if layout == "auto":
             with closing(open_video(path)) as reader:
                 layout = find_layout(reader, layout).layout
@@ -133,7 +133,7 @@ class _Check:
             self.problems.append(f"{self.clip.right}: expected {lw}x{lh} px like the left video, found {rw}x{rh}.")
         if left_s and right_s and abs(left_s - right_s) > _MAX_DIFFERENCE_S:
             self.notes.append(
-                f"The left video has {left_s:.1f} s and the right one {right_s:.1f} s; frames of only one video are "
+                f"The left video is {left_s:.1f} s long, the right one {right_s:.1f} s; frames without a partner are "
                 "not used."
             )
 

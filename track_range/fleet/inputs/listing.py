@@ -78,7 +78,7 @@ def _clips_in(location: Location, pattern: FilePattern | None) -> list[Clip]:
 
 
 def matched_clips(tree: FileTree, pattern: FilePattern, location: Location) -> list[Clip]:
-    """One clip for each match of a pattern below a folder (`location` in messages); half of a pair is a problem.
+    """One clip for each match of a pattern below a folder (`location` in messages); half of a pair has a problem.
 
     Raises FleetInputError if no file matches, or there is no complete pair.
     """
@@ -181,7 +181,7 @@ def _checked(clips: list[Clip]) -> list[Clip]:
 
 
 def _printable(clip: Clip) -> Clip:
-    """The clip; one with a file name that is not UTF-8 has escaped names and a problem."""
+    """The clip; if a file name is not UTF-8, with escaped names and a problem."""
     texts = (clip.name, clip.left, clip.right or "", *clip.labels.values())
     if all(text == _escaped(text) for text in texts):
         return clip

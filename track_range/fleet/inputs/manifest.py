@@ -31,13 +31,13 @@ from track_range.run.settings import RunSettings
 if TYPE_CHECKING:
     import pyarrow as pa
 
-_EXPECTED = "a manifest with the column left and optionally clip, right, rig, ego_speed, truth and others"
+_EXPECTED = "a manifest with the column left and optionally clip, right, rig, ego_speed, truth and other columns"
 _FLEET_OPTIONS = RunSettings.fields_where(lambda field: option_of(field).is_shared)  # equal for all clips: no labels
 _MAX_COLUMNS, _MAX_CELLS, _MAX_CELL = 1000, 50_000_000, 10_000  # cells in a Parquet file, characters in a cell
 
 
 def manifest_clips(location: Location) -> list[Clip]:
-    """The clips of a manifest, in its order; FleetInputError, with the line: it is wrong or empty; StorageError."""
+    """The clips of a manifest, in its order; FleetInputError with the line if it is wrong or empty; StorageError."""
     if location.is_local:
         return _Manifest(location, location.path).clips()
     with tempfile.TemporaryDirectory(prefix="track-range-manifest-") as folder:
@@ -180,9 +180,9 @@ def _text(value: object) -> str:
 
 
 def _check_columns(path: Path, names: tuple[str, ...]) -> None:
-    """Raise an error for columns without left, columns with equal names, and options of the fleet."""
+    """Raise an error for a missing column `left`, columns with equal names, and options of the fleet."""
     if "left" not in names:
-        raise FleetInputError(f"{path}: no column left; expected {_EXPECTED}.")
+        raise FleetInputError(f"{path}: found no column 'left'; expected {_EXPECTED}.")
     if len(names) > _MAX_COLUMNS:
         raise FleetInputError(f"{path}: expected at most {_MAX_COLUMNS} columns, found {len(names)}.")
     for name in names:

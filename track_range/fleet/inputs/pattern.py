@@ -25,7 +25,7 @@ class Template:
 
     @classmethod
     def of(cls, text: str, option: str) -> Template:
-        """The template of the value of an option; FleetInputError: an open brace, or a placeholder is not a name."""
+        """The template of the value of an option; FleetInputError if a brace is open or a placeholder is not a name."""
         try:
             parsed = list(Formatter().parse(text))
         except ValueError as error:

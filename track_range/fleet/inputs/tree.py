@@ -1,4 +1,4 @@
-"""FileTree: names of all files and folders below a folder, or that match a pattern such as `DIR/*/front_*.mp4`."""
+"""FileTree: names of all files and folders that are below a folder or match a pattern such as `DIR/*/front_*.mp4`."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def without_suffix(name: str) -> str:
 
 
 def wildcard_tree(location: Location) -> FileTree | None:
-    """The files that match a pattern, and all that is in the folders that match; None = no wildcard, or it exists.
+    """The files that match a pattern, and all that is in the folders that match; None = it has no wildcard, or exists.
 
     `**` matches any number of folders. Hidden files match no `*`. Raises StorageError.
     """

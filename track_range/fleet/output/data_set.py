@@ -176,7 +176,7 @@ class ClipTable:
             self.add({**row, "inputs": inputs}, is_in_journal=False)
 
     def collect_journal(self) -> int:
-        """Add the rows of workers that an interrupted driver does not know; the number of them that are done."""
+        """Add rows of workers that an interrupted driver does not know; returns how many of the clips are done."""
         names = [name for name in _journal_names(self._out) if name not in self._in_journal]
         rows = journal_rows(self._out, names).values()
         for row in rows:

@@ -90,7 +90,7 @@ class FleetState:
 
 
 def read_state(out: Location) -> FleetState | None:
-    """The state in fleet.json; None without a readable one."""
+    """The state in fleet.json; None if it cannot be read."""
     location = out.child(STATE_FILE)
     if not location.exists():
         return None

@@ -79,7 +79,7 @@ class ClipColumns:
         return np.array([_unix_time(text) for text in self.texts(name)], np.float64)
 
     def prefixes(self, suffix: str) -> list[str]:
-        """The columns of numbers with a suffix, without it, if they have a value."""
+        """The columns of numbers with a suffix, by name without this suffix, if they have a value."""
         names = [name.removesuffix(suffix) for name in self.names if name.endswith(suffix) and name != suffix]
         return [name for name in names if np.isfinite(self.numbers(f"{name}{suffix}")).any()]
 
@@ -252,7 +252,7 @@ def node_figures(done: ClipColumns) -> list[Figures]:
 
 
 def work_figures(done: ClipColumns) -> Figures:
-    """Hours of video and of workers, speed of a worker, and time per clip that is not the run."""
+    """Hours of video and of workers, speed of a worker, and time per clip outside the run."""
     video_s, worker_s, frames = (float(np.nansum(done.numbers(name))) for name in ("seconds", "wall_s", "frames"))
     return {
         "video_h": video_s / _S_PER_H,

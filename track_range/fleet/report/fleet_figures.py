@@ -91,7 +91,7 @@ def _worst(events: Iterable[ClipEvent]) -> list[ClipEvent]:
 
 
 def event_video(row: Mapping[str, Any]) -> str:
-    """Name of the video of an event in a row of figures among the files of its clip, if it was written."""
+    """Name of the video of an event among the files of its clip, if the video was written."""
     return f"{CLIPS_FOLDER}/{clip_name(row['number'], row['kind'], row['track_id'])}"
 
 

@@ -67,8 +67,8 @@ _COLLISION_MEASURES: tuple[_Measure, ...] = (
 class Links:
     """Functions that give an address of a ranked row; "" = none.
 
-    They lead to the report of its clip, to the overlay at its moment, and to the video of an event (without one, to the
-    overlay).
+    The addresses lead to the report of the row's clip, to the overlay at the row's moment, and to the video of an event
+    (if there is none, to the overlay).
     """
 
     report: _Link = lambda _row: ""
@@ -93,14 +93,14 @@ def fleet_sections(figures: Figures, links: Links | None = None) -> list[Section
     sections = {
         "road-users": (
             "Road users",
-            "Tracks by their most frequent class. The hour of the day is the hour (UTC) of the first frame of a track. "
-            "Rates per hour are of at least 6 minutes of video.",
+            "Tracks by their most frequent class. The hour of the day is the hour (UTC) of the first frame of a "
+            "track. Rates per hour need at least 6 minutes of video.",
             [_grid("Tracks by class", "class", figures["classes"], _CLASS_COLUMNS), _hour_grid(figures["hours"])],
             "No clip has tracks.",
         ),
         "coverage": (
             "Distance coverage",
-            "Fraction of the observed boxes with a distance of the method. Bands of the filtered fused distance.",
+            "Fraction of the observed boxes with a distance of the method, by bands of the filtered fused distance.",
             [_coverage_grid(figures["coverage"])],
             "No box has a distance.",
         ),
@@ -123,9 +123,9 @@ def fleet_sections(figures: Figures, links: Links | None = None) -> list[Section
         ),
         "collisions": (
             "Shortest times to collision",
-            "Time to collision of the front with road users that are on the ego path at that moment, by their offset "
-            "from this path, which may bend, or that will be on it with a probability of at least one half. "
-            f"{tables.SIGMA} at most half of the time; one row per track.",
+            "Time to collision of the front with road users that are on the ego path at that moment, or will be on it "
+            f"with a probability of at least one half; the path may bend. {tables.SIGMA} is at most half of the time; "
+            "one row per track.",
             [_ranking("Tracks on the ego path", figures["collisions"], _COLLISION_MEASURES, links)],
             "No road user on the ego path had a time to collision.",
         ),
@@ -235,7 +235,7 @@ def _drift_grid(rows: Sequence[Figures], name: str, group: str | None) -> tables
 
 
 def _text_grid(title: str, rows: Sequence[Figures], headings: tuple[str, ...]) -> tables.Grid:
-    """Table of reasons or notes, with the number of clips, and the names of some of a reason."""
+    """Table of reasons or notes, with the number of clips and, for reasons, the names of some clips."""
     cells = []
     for row in rows:
         texts = {**row, "clips": str(row["n"]), "example": row.get("clip", "")}

@@ -72,7 +72,7 @@ def _ranked(approaches: Iterable[Figures], key: str) -> list[Figures]:
 
 
 def needed_columns(names: Sequence[str]) -> list[str]:
-    """Those of the columns of tracks.parquet that the figures need; raises ValueError if a required one is missing."""
+    """The columns of a tracks.parquet that the figures need; raises ValueError if a required one is missing."""
     if missing := [name for name in _NEEDED if name not in names]:
         raise ValueError(f"no column {missing[0]}")
     distances = [name for method in _methods(names) for name in (f"{method}_m", f"{method}_sigma_m")]
@@ -158,7 +158,7 @@ class _Rows:
             return np.where(self._column("ttc_sigma_s") <= _MAX_RELATIVE_SIGMA * ttc_s, ttc_s, np.nan)
 
     def _lateral_m(self) -> FloatArray:
-        """Column x_m; where only the filter has a distance, x of the box centre at it, with the camera of the rows."""
+        """Column x_m; where only the filter has a distance, x of the box centre at this distance, by the camera."""
         x_m, z_m, u = self._column("x_m"), self._column("fused_m"), self._column("x1_px") + self._column("x2_px")
         known = np.isfinite([x_m, z_m, u]).all(axis=0)
         if not known.any() or np.ptp(u[known]) < 1:

@@ -15,7 +15,7 @@ from track_range.foundation.files.input_files import printable, shortened
 
 StorageFault = Literal["missing", "permission", "full", "network", "other"]
 """No such file, folder or bucket; no permission or credentials; no space left; an error that may disappear when the
-call is repeated (network, overload); another one."""
+call is repeated (network, overload); another error."""
 
 _MAX_REASON = 140  # largest number of characters of a library's error text in a message
 

@@ -166,7 +166,7 @@ class Location:
 
     @property
     def parent(self) -> Location | None:
-        """The folder that contains it; None for a bucket, a server, and the root folder."""
+        """The folder that contains this location; None for a bucket, a server, and the root folder."""
         if self.is_local:
             folder = os.path.dirname(self._key)
             return None if folder == self._key else Location("", folder)
@@ -311,7 +311,7 @@ class Location:
         stream.close()
 
     def remove(self) -> None:
-        """Remove a file; a missing one is no error."""
+        """Remove a file; a missing file is not an error."""
         with storage_errors(self, "removed"), suppress(FileNotFoundError):
             if self.is_local:
                 os.unlink(self._key)
@@ -356,7 +356,7 @@ def _options_text(options: tuple[tuple[str, str], ...]) -> str:
 
 
 def _scanned(folder: str, prefix: str, above: tuple[tuple[int, int], ...], *, recursive: bool) -> Iterator[Entry]:
-    """Entries of a folder; `above` are device and inode of it and of the folders that contain it."""
+    """Entries of a folder; `above` are device and inode of this folder and of the folders above."""
     with storage_errors(folder, "read"), os.scandir(folder) as items:
         for item in items:
             try:

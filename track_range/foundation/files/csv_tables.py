@@ -19,7 +19,7 @@ _DECIMAL_COMMA = re.compile(r"([+-]?\d{1,20}),(\d{1,20}(?:[eE][+-]?\d{1,3})?)")
 
 @dataclass(frozen=True, slots=True)
 class CsvTable:
-    """N rows of cells, stripped, of a CSV file, their line numbers, from 1, and the names of the columns in lower case.
+    """The N rows of stripped cells of a CSV file, with line numbers from 1 and the column names in lower case.
 
     `error` and `expected` are the class of exceptions and what the file should hold, for messages.
     """
@@ -86,7 +86,7 @@ def read_csv_table(
 
     Columns may be separated by semicolons or tabs instead of commas; then decimals may have a comma. `default_header`
     names the columns of a file whose first line has no column names. Rows with missing cells, or one separator at
-    the end, are allowed unless `exact`. Raises `error` if the file is unreadable, empty or no CSV, a row has too many
+    the end, are allowed unless `exact`. Raises `error` if the file is unreadable, empty or not CSV, a row has too many
     cells, or a column has no name.
     """
     text = read_text(path, error, "CSV", max_bytes=MAX_TABLE_BYTES)

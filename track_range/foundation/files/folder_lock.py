@@ -1,8 +1,8 @@
 """Lock of an output folder: one run at a time writes to it.
 
-The lock is one of the operating system on the file `.running` in the folder. The system releases it when the process
-ends, also after kill -9, so that a file left by a killed run does not lock the folder, and two runs that find such a
-file cannot both take it. The file contains the process, its start time and the host, for messages.
+The operating system locks the file `.running` in the folder. It releases the lock when the process ends, even after
+kill -9, so that a file left by a killed run does not lock the folder, and two runs that find such a file cannot both
+take it. The file contains the process, its start time and the host, for messages.
 
 On file systems without such locks (some network file systems) the folder is not locked.
 """
@@ -114,7 +114,7 @@ def _open_locked(path: Path) -> int | None:
 
 
 def _try_lock(descriptor: int) -> bool:
-    """Lock a file for this process; False if another one has locked it."""
+    """Lock a file for this process; False if another process has locked it."""
     try:
         if sys.platform == "win32":
             import msvcrt

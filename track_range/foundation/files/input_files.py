@@ -110,7 +110,7 @@ def first_line(path: Path, error: type[Exception], expected: str) -> str:
 
 
 def _read(file: BinaryIO, n_bytes: int) -> bytes:
-    """At most `n_bytes` of a file; raises OSError if they cannot be read without waiting, as from some of /proc."""
+    """At most `n_bytes` of a file; raises OSError if they cannot be read without waiting, as for parts of /proc."""
     content: bytes | None = file.read(n_bytes)
     if content is None:
         raise BlockingIOError(errno.EAGAIN, "no data at present")

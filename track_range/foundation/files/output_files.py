@@ -25,7 +25,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_json(path: Path | None, content: Mapping[str, Any], *, allow_nan: bool = False) -> None:
-    """Write a JSON file, as `write_text`, if one is given; raises ValueError for NaN, which is not valid JSON."""
+    """Write a JSON file, if one is given, as `write_text` does; raises ValueError for NaN, which is not valid JSON."""
     if path is not None:
         write_text(path, json.dumps(content, indent=2, allow_nan=allow_nan) + "\n")
 

@@ -134,7 +134,7 @@ def _problem(error: yaml.YAMLError) -> str:
 
 
 def _check_events(text: str) -> None:
-    """Check the syntax, the depth, and that there are no aliases and no tags of other types, by a yaml.YAMLError."""
+    """Raise yaml.YAMLError for invalid syntax, too much depth, aliases, and tags of other types."""
     depth = n_values = 0
     for event in yaml.parse(text, _BaseLoader):
         problem = ""

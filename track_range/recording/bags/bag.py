@@ -26,7 +26,7 @@ _MCAP_MAGIC, _SQLITE_MAGIC = b"\x89MCAP0\r\n", b"SQLite format 3\0"
 _FOLDER_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")  # suffixes of the files in the folder of a ROS 2 bag
 
 _MESSAGES = "SELECT timestamp, CASE WHEN timestamp >= ? THEN data END FROM messages WHERE topic_id = ? ORDER BY id"
-"""Query for the messages of a topic; the content of the earlier ones is not read."""
+"""Query for the messages of a topic; the content of earlier messages is not read."""
 
 
 def is_bag(path: Path) -> bool:
@@ -77,7 +77,7 @@ class SqliteFile:
             ) from error
 
     def _connected(self) -> sqlite3.Connection:
-        """Connection that reads the file, with the journal that a recorder left that was killed."""
+        """Connection that reads the file, with the journal that a killed recorder has left."""
         address = f"file:{quote(str(self.path.absolute()))}?mode=ro"
         if Path(f"{self.path}-wal").exists():
             with suppress(sqlite3.DatabaseError):  # such as a folder without write permission

@@ -1,4 +1,4 @@
-"""Ros1File: messages of a ROS 1 bag (#ROSBAG V2.0), read chunk by chunk; without its index, such as cut, in sequence.
+"""Ros1File: messages of a ROS 1 bag (#ROSBAG V2.0), read chunk by chunk; files without an index in sequence.
 
 record = length of header, header (name=value, ...), length of data, data
 

@@ -118,14 +118,14 @@ class RecordingCalibration:
         return (*self.search_notes, *self.file_notes, *self._pixel_notes(), *alignment, *focal)
 
     def _pixel_notes(self) -> tuple[str, ...]:
-        """A note on images whose pixels are not square by the calibration or the video."""
+        """A note on images whose pixels are not square according to the calibration or the video."""
         recorded = self.raw_camera or self.camera
         own, aspect = recorded.fy_px / recorded.fx_px, self.pixel_aspect
         is_contradicted = aspect != 1.0 and abs(own / aspect - 1.0) > _MAX_ASPECT_ERROR
         if not is_contradicted and (recorded.has_square_pixels or recorded.is_wide):
             return ()
         doubt = (
-            f" By the video, they are {aspect:.3g} times as wide as high; check the calibration."
+            f" According to the video, they are {aspect:.3g} times as wide as high; check the calibration."
             if is_contradicted
             else ""
         )

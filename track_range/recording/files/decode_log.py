@@ -22,7 +22,7 @@ class DecodeLog:
         n_damaged: frames skipped because they, or frames that they depend on, are damaged.
         n_backward: frames skipped because their timestamp equals or precedes the last one.
         resets_s: times of the last frames before the clock of the file was set back.
-        n_repeated: frames that exactly repeat the image before, between images that differ.
+        n_repeated: frames that exactly repeat the previous image, between images that differ.
     """
 
     def __init__(self) -> None:
@@ -77,7 +77,7 @@ class DecodeLog:
         self.last_s, self.end_s = time_s, time_s + duration_s
 
     def image(self, image: Image) -> None:
-        """Count an image that exactly repeats the one before while the images around it differ, unlike in a stop."""
+        """Count an image that exactly repeats the previous one while the images around both differ, as if moving."""
         sample = image[::_SAMPLE_STEP, ::_SAMPLE_STEP].copy()
         is_repeat = self._sample is not None and np.array_equal(sample, self._sample)
         self.n_repeated += self._repeats == (False, True) and not is_repeat
@@ -109,8 +109,8 @@ class DecodeLog:
             )
         if self.n_repeated > _MAX_REPEATED * self.n_used:
             notes.append(
-                f"{counted(self.n_repeated, 'frame')} of {self.n_used} repeat the image before them, as after a change "
-                "of the frame rate: speeds are less accurate; use the video as the camera recorded it."
+                f"{counted(self.n_repeated, 'frame')} of {self.n_used} repeat the previous image, as after a change of "
+                "the frame rate: speeds are less accurate; use the camera's original video."
             )
         if self.n_damaged:
             notes.append(f"{counted(self.n_damaged, 'damaged frame')} skipped.")

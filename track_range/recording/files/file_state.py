@@ -24,7 +24,7 @@ class FileState:
 
     @classmethod
     def of(cls, path: Path, n_bytes: int | None = None) -> FileState:
-        """The state of a file, with samples at the offsets in one of `n_bytes`; VideoError if it cannot be read."""
+        """The state of a file, with samples at the offsets for a size of `n_bytes`; VideoError if it cannot be read."""
         with open_regular(path, VideoError, "a video file or a folder of numbered images") as file:
             status = os.fstat(file.fileno())
             step = (status.st_size if n_bytes is None else n_bytes) / _N_SAMPLES

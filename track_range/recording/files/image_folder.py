@@ -160,7 +160,7 @@ def _reduced(image: npt.NDArray[Any], shift: int, bayer: Bayer | None) -> Image:
 
 
 def _state(path: Path) -> tuple[int, int]:
-    """Size in bytes and time of the last change in ns of an image; raises VideoError if it is no regular file."""
+    """Size in bytes and time of the last change in ns of an image; raises VideoError if it is not a regular file."""
     try:
         status = path.stat()
     except OSError:

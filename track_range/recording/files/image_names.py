@@ -1,8 +1,8 @@
 """Names of the images of a folder: their order, the number or time in each, and the camera.
 
-time      a date (2026-01-31T14-25-30.123), a decimal (1305031102.175304), or 10 to 19 digits without zeros in front,
-in the unit (s, ms, us, ns) that gives a plausible frame rate; in all names, and each another one
-number    the last field of digits that is another one in each name, in the same order as all fields together
+time      a date (2026-01-31T14-25-30.123), a decimal (1305031102.175304), or 10 to 19 digits without leading zeros,
+in the unit (s, ms, us, ns) that gives a plausible frame rate; in all names, and different in each
+number    the last field of digits that differs in each name, in the same order as all fields together
 else      natural order: fields of digits are compared as numbers
 
 0000000007.png (KITTI)   aachen_000000_000019_leftImg8bit.png (Cityscapes)   000003_10.png (KITTI 2015)
@@ -59,7 +59,7 @@ class NamedImages(NamedTuple):
 
 
 def named_images(folder: Path) -> NamedImages:
-    """The images of a folder or pattern, of two cameras the left one's. Raises VideoError if there are none.
+    """The images of a folder or pattern, or of the left camera of two. Raises VideoError if there are none.
 
     Times are read from a file beside the images (timestamps.txt, times.txt, data.csv), else from the names.
     """
@@ -147,7 +147,7 @@ def _numbered(files: Sequence[Path], folder: Path, notes: list[str]) -> list[tup
 
 
 def _times_in_names(stems: Sequence[str]) -> FloatArray | None:
-    """(N,) times in seconds in the names; None if a name has none, or two have the same."""
+    """(N,) times in seconds in the names; None if a name has no time, or two have the same time."""
     if len(stems) < 2:
         return None
     dates = [list(_DATE.finditer(stem)) for stem in stems]
@@ -237,5 +237,5 @@ def _parsed_times(cells: Sequence[str]) -> FloatArray | None:
 
 
 def is_epoch(time_s: float) -> bool:
-    """Whether a time is one in seconds since 1970."""
+    """Whether a time is in seconds since 1970."""
     return _EPOCH_S[0] < time_s < _EPOCH_S[1]

@@ -38,7 +38,7 @@ _N_OFFSETS = 300  # frames for the offset: 10 s at 30 Hz, in which clocks that d
 class StreamClock:
     """Converts the timestamps of one stream to strictly increasing times of `time.monotonic` of this machine.
 
-    Timestamps of cameras (Linux) already use that clock and stay as they are. Those of a network stream have an
+    Timestamps of cameras (Linux) already use that clock and stay as they are. Timestamps of a network stream have an
     arbitrary origin, and its frames arrive with varying delay; the frame with the shortest delay gives the offset:
 
         time_s = stamp_s + min(arrived_s - stamp_s)         over the most recent frames, to follow clock drift
@@ -68,7 +68,7 @@ class LiveVideo:
     """An open camera or stream, read once: the iteration starts with the newest frame and closes the connection.
 
     The part to read begins after `start_s` and lasts `duration_s`; None = until the stream ends or the run is stopped.
-    Each `every`-th frame is used; of a right camera (`is_partner`), the frame that fits each of the left one's.
+    Each `every`-th frame is used, or of a right camera (`is_partner`) the frames that fit the left camera's frames.
 
     `n_received` frames were decoded so far, `n_taken` passed to the consumer; `ended_by` is FFmpeg's message if the
     connection was lost, `has_ended` whether the source ended the stream normally. Attributes that are not described

@@ -177,7 +177,7 @@ class StepwiseAlignment:
         return Alignment() if self.current is None else self.current.correction.at(time_s)
 
     def add(self, unaligned: Frame, aligned: Frame) -> PairAlignment | None:
-        """A new alignment after this frame, given without and with the current alignment; None = as before."""
+        """A new alignment after this frame, passed without and with the current alignment; None = unchanged."""
         if self._is_final:
             if self._drift is not None:
                 self._drift.add(aligned)

@@ -153,13 +153,13 @@ class RecordedPair(VideoPair[RecordedVideo]):
             if n_skipped and by_s > self.tolerance_s:
                 notes.append(
                     f"The {other.name} video {verb} {by_s:.2f} s {adverb} than the {side.name} one: "
-                    f"{counted(n_skipped, noun)} {preposition} it skipped."
+                    f"{counted(n_skipped, noun)} {preposition} this were skipped."
                 )
             else:
                 n_between += n_skipped
         if n_between:
             notes.append(
-                f"{counted(n_between, noun)} without a {other.name} frame within {1000 * self.tolerance_s:.1f} ms "
+                f"{counted(n_between, noun)} without a {other.name} frame within {1000 * self.tolerance_s:.1f} ms were "
                 "skipped."
             )
         return notes

@@ -75,7 +75,7 @@ class _Entry:
 class SyncMonitor:
     """Checks the frames of a pair in order.
 
-    `n_ahead` frames are waited for, so that most lags are found in time; twice as many until the first check in motion.
+    It waits for `n_ahead` frames, so that it finds most lags in time, and for twice as many until a check in motion.
     """
 
     n_ahead: int = 0
@@ -174,7 +174,7 @@ class SyncMonitor:
             self._is_urgent |= abs(math.log(ratio)) > _CLEAR_RATIO or any(before.repeated)
 
     def _check(self, entry: _Entry) -> None:
-        """Measure the lag of the newest frame at the present shift, and look for another one if it is contradicted."""
+        """Measure the lag of the newest frame at the present shift, and look for another shift if it contradicts."""
         self._n_unchecked, self._is_urgent, self._is_of_right = 0, False, not self._is_of_right
         base = self._shift or 0
         lag = self._measured(self._newest(base), base, is_of_right=self._is_of_right)
@@ -234,7 +234,7 @@ class SyncMonitor:
         self._credit = max(self._credit, 2 * MAX_LAG)
 
     def _newest(self, shift: int) -> int:
-        """Place of the newest left image that has a right one at a shift."""
+        """Place of the newest left image that has a right image at a shift."""
         return len(self._entries) - 1 - max(shift, 0)
 
     def _fits(self, place: int, shift: int) -> bool:
@@ -305,7 +305,7 @@ def _image(frame: Frame, *, is_right: bool) -> ImageView:
 
 
 def _small(view: ImageView) -> Image:
-    """Means of 2x2 of the pixels in every fourth row and column, as recorded: in motion above noise, and cheap."""
+    """Means of 2x2 recorded pixels in every fourth row and column: cheap, with changes above the noise in motion."""
     image = view.recorded if isinstance(view, RemappedView) else whole_image(view)
     sample = np.ascontiguousarray(image[::4, ::4] if image.ndim == 2 else image[::4, ::4, 1])
     size_px = max(sample.shape[1] // 2, 1), max(sample.shape[0] // 2, 1)
@@ -332,7 +332,7 @@ def _sentence(group: list[SyncFinding]) -> str:
             f"Left and right do not show the same moment ({when}), and no lag of up to {MAX_LAG} frames explains it: "
             f"{off}; check the timestamps, and that the two videos belong together."
         )
-    done = off if first.action == "stereo off" else "left frames are paired with the right ones of their moment"
+    done = off if first.action == "stereo off" else "left frames are paired with right frames of the same moment"
     return (
         f"Left and right are not synchronised: the {first.side} video lags by {counted(first.lag_frames, 'frame')} "
         f"({when}; found from the vertical motion of the images): {done}; check for dropped and repeated frames and "

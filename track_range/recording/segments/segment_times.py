@@ -78,7 +78,7 @@ def arranged(
         ordered = list(files) if is_given_order else by_name
         order = "given order" if is_given_order else "order of their names"
         notes.append(
-            f"{counted(len(files), 'file')} without usable dates joined in the {order}, without gaps between them."
+            f"{counted(len(files), 'file')} without usable dates are joined in the {order}, without gaps between them."
         )
         gaps_s = [-repeated_s(one, other) for one, other in itertools.pairwise(ordered)]
         steps_s = (file.duration_s + gap_s for file, gap_s in zip(ordered, gaps_s, strict=False))
@@ -189,7 +189,7 @@ _Dated = list[tuple[SegmentFacts, Stamp]]  # files with the dates of their start
 
 
 def _clock(files: Sequence[SegmentFacts]) -> tuple[_Dated | None, list[str]]:
-    """The files with their dates; None = not all have different ones; and notes."""
+    """The files with their dates (None = not all have different dates), and notes."""
     headers, names = _header_starts(files), _dated(files, [file.in_name for file in files])
     if headers is None or names is None:
         return headers or names, []

@@ -138,11 +138,11 @@ def _check_positions(track: TelemetryTrack) -> None:
 
 
 def with_unit(track: TelemetryTrack) -> TelemetryTrack:
-    """The track with its speeds in the unit that its positions show, which is another one than stated now and then.
+    """The track with its speeds in the unit that its positions show, which sometimes differs from the stated unit.
 
-    Speeds that differ by less than units do become less certain. Without a stated unit, and with too few positions of
-    a moving car, they are taken as m/s, with a note if any is fast. A TelemetryError means that the speeds contradict
-    the positions in every unit.
+    Speeds become less certain if they differ by less than units do. Without a stated unit, and with too few positions
+    of a moving car, they are taken as m/s, with a note if any is fast. A TelemetryError means that the speeds
+    contradict the positions in every unit.
     """
     if not track.has_own_speed:
         return track
@@ -154,8 +154,8 @@ def with_unit(track: TelemetryTrack) -> TelemetryTrack:
         if track.unit is not None or not (track.speed_mps > MOVING_MPS).any():
             return track
         note = (
-            f"its speeds have no unit and are taken as m/s; only {ratio.n_moving} positions of a moving car could show "
-            "the unit."
+            f"its speeds have no unit and are taken as m/s, since only {ratio.n_moving} positions of a moving car are "
+            "known, too few to find the unit."
         )
         return replace(track, notes=(*track.notes, note))
     stated_mps = float(np.nanmedian(track.speed_mps))

@@ -89,7 +89,7 @@ def _inside(part: VideoPart) -> tuple[TelemetryTrack, Path] | None:
 
 
 def _in_video(path: Path) -> TelemetryTrack | None:
-    """Telemetry inside a video file: of our readers, otherwise of ExifTool, otherwise the error of ours."""
+    """Telemetry inside a video file, from our readers, else from ExifTool; otherwise the error of our readers."""
     if (track := read_ros_topics(path)) is not None or not path.is_file():
         return track
     try:

@@ -147,7 +147,7 @@ def _pairs(
 
 
 def contradiction(motion: MotionSeries, ego: EgoSpeed) -> str | None:
-    """How the images contradict the speed at all offsets up to `MAX_OFFSET_S`, as the end of a sentence; None = not."""
+    """How the images contradict the speed at all offsets up to `MAX_OFFSET_S`, as the end of a sentence, if at all."""
     claims = np.array([_extremes_mps(ego, time_s) for time_s in motion.time_s.tolist()]).reshape(-1, 2)
     known = np.isfinite(claims[:, 0])
     still = motion.is_still & known

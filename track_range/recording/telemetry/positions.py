@@ -114,7 +114,7 @@ def _is_new(time_s: FloatArray, latitude_deg: FloatArray, longitude_deg: FloatAr
 
 
 class SpeedRatio(NamedTuple):
-    """Speeds from positions divided by stated ones, of the samples of a moving car."""
+    """Speeds from positions divided by stated speeds, for the samples of a moving car."""
 
     median: float  # NaN = too few samples
     scatter: float  # median relative deviation from it
@@ -122,7 +122,7 @@ class SpeedRatio(NamedTuple):
 
 
 def speed_ratio(positions: TelemetryTrack | None, time_s: FloatArray, stated: FloatArray, n_min: int) -> SpeedRatio:
-    """Comparison of speeds from positions to (N,) stated ones, with at least `n_min` samples."""
+    """Comparison of speeds from positions with (N,) stated speeds, with at least `n_min` samples."""
     known = np.flatnonzero(np.isfinite(time_s) & np.isfinite(stated))
     if positions is None or not len(known):
         return SpeedRatio(math.nan, math.nan, 0)

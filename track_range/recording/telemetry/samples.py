@@ -66,7 +66,7 @@ def track(
 ) -> TelemetryTrack | None:
     """Telemetry of samples; None = no sample has a time, or no two have the positions that are needed.
 
-    Numbers that no receiver reports (negative speeds, latitudes beyond 90 degrees) become NaN. Without an own speed,
+    Numbers that no receiver reports (negative speeds, latitudes beyond 90 degrees) become NaN. Without a stated speed,
     `speed_mps` is derived from the positions; `unit`: see `in_known_unit`; `given`: other attributes of the track.
     """
     samples, unit_notes = in_known_unit(samples, unit)

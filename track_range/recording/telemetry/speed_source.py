@@ -47,7 +47,7 @@ class SpeedSource:
     track: TelemetryTrack | None = None  # telemetry on the clock of the recording; None = the speed has another source
 
     def summary(self, ego_mps: FloatArray, odometry: str | None = None) -> dict[str, Any] | None:
-        """Section `ego_speed` of summary.json from (N,) speeds and the odometry, None = none; None = unknown."""
+        """Section `ego_speed` of summary.json from (N,) speeds and the odometry, if any; None = unknown speed."""
         if self.ego is None and odometry is None:
             return None
         known = ego_mps[np.isfinite(ego_mps)]
@@ -158,7 +158,7 @@ def _table_beside(part: VideoPart) -> SpeedSource:
 def _checked(ego: EgoSpeed, parts: Sequence[VideoPart]) -> tuple[EgoSpeed, tuple[str, ...]]:
     """A speed in the unit that its positions show, and notes; raises TelemetryError if they contradict it.
 
-    The same for samples that cover less than a tenth of the video.
+    It also raises TelemetryError if the samples cover less than a tenth of the video.
     """
     length_s = max((part.start_s + part.duration_s for part in parts), default=0.0)
     if len(ego.time_s) > 1:
@@ -205,7 +205,7 @@ def _automatic(parts: Sequence[VideoPart], motion: Callable[[], MotionSeries], n
 
 
 def _with_images(telemetry: FoundTelemetry, motion: MotionSeries) -> tuple[SpeedSource, str | None]:
-    """Ego speed with the time offset that the images show, and what they show against it; None = nothing."""
+    """Ego speed with the time offset that the images show, and the contradiction that they show; None = none."""
     track = telemetry.track
     if track is None:
         return SpeedSource(notes=telemetry.notes), None

@@ -82,7 +82,7 @@ def write_positions(path: Path, track: TelemetryTrack, *, first_s: float, last_s
 
 
 def optional_package(package: str, source: str) -> Any:
-    """A package of the extra [telemetry]; raises TelemetryError, which names the file `source`, without it."""
+    """A package of the extra [telemetry]; raises TelemetryError, which names the file `source`, if it is missing."""
     try:
         return import_module(package)
     except ImportError as error:

@@ -49,7 +49,7 @@ def on_video_clock(track: TelemetryTrack, part: VideoPart) -> tuple[TelemetryTra
                 "the video states no date and time that could be matched with its times; give the time of the first "
                 "frame with --start-utc."
             )
-        note = "the video states no date and time; both are equally long and are taken to start together."
+        note = "the video states no date and time; it is as long as the telemetry, so both are taken to start together."
         shifted = replace(track, time_s=track.time_s - track.time_s[0], clock="video", notes=(*track.notes, note))
         return shifted, _CLOCK_SIGMA_S
     if track.time_s[-1] < 2 * DAY_S:  # times of the day, without a date

@@ -309,7 +309,7 @@ class EventFinder:
     def _same(
         self, kind: EventKind, track_id: int, result: FrameResult, distance_m: float, offset_m: float, group: int
     ) -> _Open | None:
-        """The event in progress of this kind and object, or of an earlier track of it, if that track is gone."""
+        """The event in progress of this kind and object, or of an earlier track of the object that has ended."""
         same_kind = [event for event in self._open if event.kind == kind]
         same = next((event for event in same_kind if track_id in event.track_ids), None)
         if same is not None or not same_kind:

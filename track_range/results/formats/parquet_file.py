@@ -63,7 +63,7 @@ class ParquetWriter:
         self._file.write(self._message(rows) if len(result.tracks) else b"")
 
     def _message(self, frames: list[FrameValues]) -> bytes:
-        """Rows of frames as a message of an Arrow IPC stream; before the first one, the schema."""
+        """Rows of frames as a message of an Arrow IPC stream; before the first message, the schema."""
         self._stream.write_batch(record_batch(frames, self._columns, self._schema))
         content = self._messages.getvalue()
         self._messages.seek(0)  # alignment is relative to the start of a message
@@ -158,7 +158,7 @@ def read_tracks_parquet(path: Path) -> Columns:
 
 
 def read_tracks_arrows(path: Path) -> tuple[Columns, bool]:
-    """Columns of the complete frames of a tracks.arrows, and whether it ends within one; errors as of Parquet."""
+    """Columns of the complete frames of a tracks.arrows, and whether it ends within one; errors as for Parquet."""
     import pyarrow as pa
 
     errors: list[Exception] = []

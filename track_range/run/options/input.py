@@ -128,7 +128,7 @@ class InputOptions(Options):
     every: Annotated[
         int,
         option(
-            "Processing of each N-th frame only; time steps are taken between processed frames.",
+            "Processing of every N-th frame only; time steps are taken between processed frames.",
             metavar="N",
             ge=1,
             le=1000,
@@ -138,7 +138,7 @@ class InputOptions(Options):
     realtime: Annotated[
         bool,
         option(
-            "Frames of a file at the pace of a camera: no frame is read before its time, and frames are dropped if "
+            "Reading of a file at the pace of a camera: no frame is read before its time, and frames are dropped if "
             "the machine is too slow.",
             instead="clips of a fleet are recordings, which are processed as fast as possible",
         ),

@@ -114,7 +114,7 @@ class OpenedDetectors:
         self._detector: YoloDetector | None = None
 
     def __call__(self, path: Path, options: DetectorOptions) -> YoloDetector:
-        """The detector of a file and options; errors as of `open_detector`."""
+        """The detector of a file and options; errors as for `open_detector`."""
         key = (path, options, _state(path), None if options.names is None else _state(Path(options.names)))
         if self._detector is None or key != self._key:
             self._detector = self._key = None  # two networks at a time would need twice the memory

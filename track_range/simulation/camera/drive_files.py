@@ -57,7 +57,7 @@ def image_writer(path: Path, camera: PinholeCamera, fps: float) -> VideoWriter |
 
 
 class PackedWriter:
-    """Writes the left and right images of equal times, which are passed in this order, as one each."""
+    """Writes the left and right images of equal times, passed in this order, as one image each."""
 
     def __init__(self, path: Path, camera: PinholeCamera, fps: float, layout: PackedLayout) -> None:
         self._axis, self._order = int(layout not in STACKED), -1 if layout in REVERSED else 1

@@ -1,8 +1,8 @@
 """Faults of a stereo pair and their effect on the images.
 
 Row and disparity offsets are errors of the right camera's principal point in the rig file. The scene is rendered with
-the true one, so that the shift is exact. Rain consists of streaks of drops at distances from 1.5 to 12 m, with the
-corresponding disparities.
+the true principal point, so that the shift is exact. Rain consists of streaks of drops at distances from 1.5 to 12 m,
+with the corresponding disparities.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ class Flaws:
 def play_back(
     truth: KittiLabels, *, seed: int, image_size_px: tuple[int, int], flaws: Flaws | None = None
 ) -> KittiLabels:
-    """Simulated detections for labels with each object at most once per frame; the same seed gives the same ones.
+    """Simulated detections for labels with each object at most once per frame; the same seed gives the same detections.
 
     They are sorted by frame, without ids (-1) and 3-D boxes; boxes are clipped to pixel centres of an image of
     `image_size_px` (width, height).

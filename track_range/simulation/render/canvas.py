@@ -1,7 +1,7 @@
 """Canvas: an image with a depth buffer, on which textured faces are drawn with exact perspective.
 
 `pieces.py` computes where each piece of a face is in the image; the canvas warps its texture there and keeps the pixels
-that are not hidden by nearer ones. Pixel operations use OpenCV, which releases the GIL for other threads.
+that no nearer surface hides. Pixel operations use OpenCV, which releases the GIL for other threads.
 """
 
 from __future__ import annotations

@@ -135,7 +135,7 @@ class _History:
 
 
 def _track_boxes(boxes: Sequence[_Box], time_s: float) -> Iterator[tuple[FloatArray, int, float]]:
-    """Box, class and uncertainty in px of a track in the frame at a time: none, one, or a predicted and another one."""
+    """Box, class and uncertainty in px of a track in the frame at a time: none, one, or two (one predicted)."""
     now = next((box for box in boxes if box.time_s == time_s), None)
     if now is not None and now.is_observed:
         yield now.xyxy_px, now.class_id, 0.0

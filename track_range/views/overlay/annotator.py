@@ -45,7 +45,7 @@ class Overlay:
 
     The bird's-eye view needs the camera of the images. The texts of `status` follow frame number and time in the upper
     left corner, `warning` follows them in amber. `recorded` is what undistorted the images of a wide lens: boxes are
-    drawn, as curves, on the images before; None = on the left images.
+    drawn, as curves, on the images before this step; None = on the left images.
     """
 
     def __init__(

@@ -78,7 +78,7 @@ def shown_name(name: str) -> str:
 
 
 def shown_distance(result: FrameResult, row: int) -> tuple[float, float]:
-    """Fused, else filtered distance with its sigma in metres (predicted boxes have no fused one); NaN = unknown."""
+    """Fused, else filtered distance with its sigma in metres (predicted boxes have only the latter); NaN = unknown."""
     for name in ("fused", "fused_kf"):
         if name in result.ranges and math.isfinite(result.ranges[name].distance_m[row]):
             return float(result.ranges[name].distance_m[row]), float(result.ranges[name].sigma_m[row])
@@ -269,7 +269,7 @@ def _candidates(
     *,
     row: int | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """(N, K, 4) candidate rectangles and (N, K) costs, for all boxes or that in `row`; inf if larger than the image."""
+    """(N, K, 4) candidate rectangles and (N, K) costs, for all boxes or box `row`; inf if larger than the image."""
     places = label_places(boxes if row is None else boxes[row : row + 1], size_px, image_px)
     costs = place_costs(places, boxes, previous)
     costs[(size_px > image_px).any(axis=1)] = np.inf

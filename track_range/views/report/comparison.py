@@ -244,7 +244,7 @@ def _difference_grid(first: ComparedRun, second: ComparedRun) -> Grid:
 
 
 def _count_grid(runs: Sequence[ComparedRun]) -> Grid:
-    """One row per run: number of events of each kind that occurs in a run, and of warnings; unknown ones are empty."""
+    """One row per run: number of events of each kind that occurs in a run, and of warnings; empty = unknown."""
     counts: list[dict[str, float] | None] = [
         None
         if run.events is None

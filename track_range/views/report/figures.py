@@ -97,7 +97,7 @@ def risk_coverage_chart(curves: Mapping[str, Sequence[Mapping[str, Any]]], path:
             points = [(row["answered_pct"], row[key]) for row in rows if row[key] is not None]
             if points:
                 axes.plot(*zip(*points, strict=True), label=name, linewidth=1.5)
-        axes.set_xlabel("answered boxes, %, most certain first")
+        axes.set_xlabel("measured boxes, %, most certain first")
         axes.set_ylabel(label)
         axes.set_xlim(0, 100)
         axes.set_ylim(bottom=0)

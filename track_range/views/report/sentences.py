@@ -47,7 +47,7 @@ def address(path: str) -> str:
 def headlines(
     columns: Columns, users: Sequence[Mapping[str, Any]], events: Sequence[Event] | None
 ) -> list[dict[str, Any]]:
-    """Main results of a run, three: `figure`, `words`, and `time_s` of the moment in the video, None = none.
+    """The three main results of a run: `figure`, `words`, and `time_s` of the moment in the video, None = none.
 
     `users` are `closest_approaches` of the rows; `events` None = unknown.
     """
@@ -65,7 +65,7 @@ def _user_moment(user: Mapping[str, Any], key: str, figure: str, words: str) -> 
 
 
 def event_headline(events: Sequence[Event]) -> dict[str, Any]:
-    """The headline of the warnings or, without one, of the events."""
+    """The headline of the warnings or, without a warning, of the events."""
     if not events:
         return _headline("No event", "no collision warning, close following, hard approach, cut-in or near miss")
     warnings = sorted((event for event in events if np.isfinite(event.warning_s)), key=lambda event: event.warning_s)

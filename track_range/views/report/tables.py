@@ -92,7 +92,7 @@ def largest(value: float) -> float:
 
 
 def from_normal(expected: float) -> Cost:
-    """Cost of an observed fraction: its distance from the expected one."""
+    """Cost of an observed fraction: its distance from the expected fraction."""
     return lambda value: abs(value - expected)
 
 

@@ -32,7 +32,7 @@ class DetectionsOptions(DetectionEvaluationSettings):
     """Options of `track-range evaluate detections`."""
 
     figure: Annotated[
-        Path | None, option("Reliability diagrams of the scores to write, an SVG or PNG file.", metavar="FILE.svg")
+        Path | None, option("SVG or PNG file for the reliability diagrams of the scores.", metavar="FILE.svg")
     ] = None
     json_file: JsonField = None
 

@@ -1,4 +1,4 @@
-"""Result files of evaluations, which are checked before one, and risk-coverage tables."""
+"""Result files of evaluations, checked before the evaluation, and risk-coverage tables."""
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,7 +13,7 @@ from track_range.views.report import tables
 
 JsonField = Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")]
 RiskFigureField = Annotated[
-    Path | None, option("Chart of the risk-coverage curves to write, an SVG or PNG file.", metavar="FILE.svg")
+    Path | None, option("SVG or PNG file for the chart of the risk-coverage curves.", metavar="FILE.svg")
 ]
 
 _OUTPUTS = {"json_file": "--json", "table": "--table", "figure": "--figure", "out": "--out"}
@@ -55,7 +55,7 @@ def _check_is_no_input(flag: str, file: Path, options: Any) -> None:
 
 
 def _paths(value: object) -> Iterator[Path]:
-    """The existing paths of an option; a text is one if it names a file, as a model does, perhaps with `MODEL.yaml`."""
+    """The existing paths of an option; a text counts if it names a file, such as a model and its `MODEL.yaml`."""
     values = value if isinstance(value, Sequence) and not isinstance(value, str) else [value]
     for item in values:
         if isinstance(item, Path) and item.exists():
@@ -95,7 +95,7 @@ def draw_risk(curves: _Curves, path: Path | None) -> None:
 
 
 def risk_grids(curves: _Curves) -> list[tables.Grid]:
-    """Failures, mean and 95th percentile of the error among the most certain boxes, by the share that is answered."""
+    """Failures, mean and 95th percentile of the error among the most certain boxes, by the answered fraction."""
     grids = []
     for title, key, area in (
         ("Failures (%) when only the most certain boxes have a distance", "failures_pct", "area_failures_pct"),

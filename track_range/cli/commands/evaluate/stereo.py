@@ -83,7 +83,7 @@ def _more_grid(matchers: _Rows) -> tables.Grid:
 
 
 def _curves(figures: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
-    """Risk-coverage curves by the name of matcher and measure, without other measures than sigma and the best one."""
+    """Risk-coverage curves by the name of matcher and measure, only for sigma and the best other measure."""
     curves = {}
     for matcher, by_measure in figures["risk_coverage"].items():
         best = figures["best_confidence"].get(matcher)

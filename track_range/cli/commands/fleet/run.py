@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 _IN_HELP = {  # words of the help texts of a run, and what they are in a fleet, which has no --mono and --stereo
     "With --mono": "For a clip of one camera",
-    "With one recording": "For a clip in one recording",
-    "one for --mono, two for --stereo BAG": "one for one camera, two for a pair",
+    "With one recording": "For a clip that is one recording",
+    "one for --mono, two for --stereo BAG": "one topic for one camera, two topics for a pair",
 }
 _MAX_NAME, _MAX_NAMED = 20, 10  # characters of the name of a failed clip, and number of such clips that are named
 

@@ -115,7 +115,7 @@ def _rows(detector: YoloDetector) -> Iterator[tuple[str, str, str]]:
         yield (
             "other layouts of these shapes",
             ", ".join(others),
-            "--layout chooses; --image compares their boxes",
+            "--layout selects one; --image shows its boxes",
         )
     if model.note:
         yield "ignored", model.note, ""

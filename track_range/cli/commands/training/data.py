@@ -43,7 +43,7 @@ def print_anchors(options: AnchorOptions) -> None:
 
 
 def read_images(items: Sequence[LabelledImage], data: TrainingData, *, max_side_px: int | None) -> CachedImages:
-    """Images of a data set; unreadable images are listed and skipped, ImageFileError if all are unreadable."""
+    """Images of a data set; unreadable images are listed and skipped. ImageFileError if all are unreadable."""
     with step_progress(console, "reading images") as progress:
         images = CachedImages(items, data.road_class_id, max_side_px=max_side_px, progress=progress)
     print_first(console, f"{len(images.unreadable)} images cannot be read and are skipped:", images.unreadable)

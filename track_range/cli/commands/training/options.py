@@ -129,7 +129,7 @@ class TrainOptions(Options):
         int,
         option(
             "Number of epochs at the end in which the rounding of INT8 weights and activations is simulated, so that "
-            "`models quantize` loses less.",
+            "`models quantize` loses less accuracy.",
             metavar="N",
             panel=_TRAINING,
             ge=0,

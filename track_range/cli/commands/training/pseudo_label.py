@@ -102,9 +102,7 @@ def _print_plan(data: OwnLabels, members: list[EnsembleMember]) -> None:
         )
     train = {real_path(item.path) for item in data.train}
     if any(real_path(item.path) in train for item in data.val):
-        notes.append(
-            "Validation images are also training images, so the table of the calibration is no independent test."
-        )
+        notes.append("Validation images are also training images, so the calibration table is not an independent test.")
     print_notes(console, notes)
 
 

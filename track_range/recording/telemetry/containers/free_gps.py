@@ -1,10 +1,10 @@
 """Records of dashcams with Novatek and related chips, `freeGPS `: many layouts, which differ in fixed characters.
 
 Layouts and units as ExifTool's documentation of QuickTime streams lists them (exiftool.org), and as
-sergei.nz/extracting-gps-data-from-viofo-a119-and-other-novatek-powered-cameras describes the first. Offsets count from
-the start of the box: 4 bytes of size, `freeGPS `, 4 bytes of length, then the record. Integers and floating-point
-numbers are little-endian; coordinates are degrees and minutes (DDMM.MMMM); speeds are in knots unless stated.
-Coordinates that a maker encrypts or shifts are still passed on; only speed and course matter.
+sergei.nz/extracting-gps-data-from-viofo-a119-and-other-novatek-powered-cameras describes the first layout. Offsets
+count from the start of the box: 4 bytes of size, `freeGPS `, 4 bytes of length, then the record. Integers and
+floating-point numbers are little-endian; coordinates are degrees and minutes (DDMM.MMMM); speeds are in knots unless
+stated. Coordinates that a maker encrypts or shifts are still passed on; only speed and course matter.
 """
 
 from __future__ import annotations

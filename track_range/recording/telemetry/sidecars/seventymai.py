@@ -26,7 +26,7 @@ _COURSE_SCALE, _SPEED_SCALE = 0.01, 0.01  # degrees and m/s per unit, by several
 def read_seventymai(path: Path, video: str, duration_s: float) -> TelemetryTrack | None:
     """Telemetry of a video in a log of 70mai; None = the file is another text.
 
-    If the log has no rows of the video, all rows are used. Its length 0 = unknown. Raises TelemetryError.
+    If the log has no rows of the video, all rows are used. A length of 0 = unknown. Raises TelemetryError.
     """
     if not first_line(path, TelemetryError, "a log of a 70mai dashcam").startswith("$V0"):
         return None

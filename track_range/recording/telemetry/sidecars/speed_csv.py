@@ -1,4 +1,4 @@
-"""CSV files with speeds or positions: of loggers, extraction tools and apps.
+"""CSV files with speeds or positions, from loggers, extraction tools and apps.
 
 The columns are found by their names. Components of the velocity are combined. Among several speeds or units, the one
 that agrees with the positions in the file is used; without positions, a speed needs a unit in its heading (`speed_kmh`,
@@ -102,7 +102,7 @@ def read_csv(path: Path) -> TelemetryTrack | None:
         if positions is not None:
             return positions
         components = " and ".join(repr(name) for name in _components(table))
-        present = f"only the component {components} of the velocity; add the others" if components else "fewer"
+        present = f"only the component {components} of the velocity; add the rest" if components else "fewer"
         raise TelemetryError(f"{path}: expected speeds, or at least two positions, found {shortened(present, 120)}.")
     chosen, unit, note = _chosen(path, speeds, positions, time_s)
     course = _columns(table, _COURSE)

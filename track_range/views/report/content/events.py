@@ -42,7 +42,7 @@ def event_details(event: Event) -> str:
 
 
 def measurements(event: Event) -> list[str]:
-    """Measurements of an event in words: the state at its peak, then extremes; unknown ones are omitted.
+    """Measurements of an event in words: the state at its peak, then extremes; unknown values are omitted.
 
     Events of earlier versions have only extremes.
     """

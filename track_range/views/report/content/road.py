@@ -44,7 +44,7 @@ def uncalibrated_video(summary: Mapping[str, Any]) -> str | None:
 
 
 def box_columns(columns: Columns, summary: Mapping[str, Any]) -> dict[str, FloatArray]:
-    """(N,) `box_left`, `box_top`, `box_right` and `box_bottom` of such a run in px, for the calibration."""
+    """(N,) `box_left`, `box_top`, `box_right` and `box_bottom` in px, for the calibration of one video's camera."""
     if uncalibrated_video(summary) is None or "x1_px" not in columns:
         return {}
     names = ("box_left", "box_top", "box_right", "box_bottom")
@@ -91,7 +91,7 @@ def road_columns(columns: Columns) -> dict[str, FloatArray]:
 
 
 def camera_of_rows(columns: Columns) -> PinholeCamera | None:
-    """The camera whose rays the positions of the rows lie on; None without distances or with positions of several.
+    """The camera on whose rays the positions of the rows lie; None without distances, or for several cameras.
 
     The image is as wide as the rightmost box edge requires, and its height is unknown (1).
     """
