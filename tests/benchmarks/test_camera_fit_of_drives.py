@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from benchmarks.boxes.box_drive import BoxDrive
 from track_range.ranging.fitting.camera.camera_fit import fit_camera
@@ -59,6 +60,7 @@ def simulated(seed, scenario="city"):
     return focal_px, SceneBoxes.joined(parts), list(known.values())[:3]
 
 
+@pytest.mark.slow
 def test_simulated_drives():
     errors, sigmas = [], []
     for seed in range(6):

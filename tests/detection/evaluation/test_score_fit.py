@@ -81,10 +81,10 @@ def images(n, *, seed=0):
 
 
 def test_cross_validation_of_overconfident_scores():
-    detections, truth = images(1500)
+    detections, truth = images(600)
     known = np.array([CAR])
     samples = ScoreSamples.of(detections, truth, known)
-    assert len(samples.score) == 1500
+    assert len(samples.score) == 600
     before, after = reliability(samples.score, samples.is_match), cross_validated(detections, truth, known)
     assert before.ece > 0.1
     assert after.ece < 0.05

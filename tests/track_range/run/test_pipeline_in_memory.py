@@ -52,6 +52,7 @@ def long_drive(render_drive: Any, tmp_path_factory: pytest.TempPathFactory) -> D
     return _without_telemetry(render_drive(seed=5, seconds=4.0), tmp_path_factory.mktemp("drive"))
 
 
+@pytest.mark.slow
 def test_rows_are_those_of_a_run_with_the_same_alignment(long_drive: Drive) -> None:
     with tr.Run.stereo(long_drive.left, long_drive.right, rig=long_drive.rig, **OPTIONS) as run:
         expected = [result.ranges["fused"].distance_m for result in run]
@@ -367,6 +368,7 @@ def test_nothing_in_the_process_changes(drive: Drive) -> None:
     assert process_state() == before
 
 
+@pytest.mark.slow
 def test_alignment_files_and_objects(drive: Drive, tmp_path: Path) -> None:
     file = tmp_path / "align.yaml"
     alignment = tr.load_alignment(_saved(file))
