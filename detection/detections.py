@@ -86,7 +86,10 @@ class Detections:
     @classmethod
     def of(cls, xyxy_px: npt.ArrayLike, score: npt.ArrayLike, class_id: npt.ArrayLike) -> Detections:
         """Detections without embeddings, from boxes (N, 4), scores (N,) and class ids (N,) as arrays or lists."""
-        boxes = np.asarray(xyxy_px, np.float64).reshape(-1, 4)
+        boxes = np.asarray(xyxy_px, np.float64)
+        if boxes.size and boxes.shape[-1] % 4:
+            raise ValueError(f"xyxy_px: expected shape (N, 4), left, top, right, bottom edge, got {boxes.shape}")
+        boxes = boxes.reshape(-1, 4)
         return cls(
             boxes,
             np.asarray(score, np.float64).reshape(-1),
@@ -156,6 +159,8 @@ class Detections:
 def _whole_numbers(name: str, values: npt.ArrayLike) -> IntArray:
     """(N,) numbers, if they are whole; networks give class numbers as floats."""
     numbers = np.asarray(values).reshape(-1)
+    if numbers.dtype.kind not in "biuf":
+        raise ValueError(f"{name}: expected whole numbers, got {numbers[0]!r}; tr.class_id(NAME) has them")
     whole = numbers.astype(np.int64)
     if len(wrong := numbers[whole != numbers]):
         raise ValueError(f"{name}: expected whole numbers, got {wrong[0]}")

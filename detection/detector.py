@@ -34,7 +34,17 @@ def checked_detections(detector: ObjectDetector, image: Image, frame_index: int)
     with named_errors(type(detector).__module__, where, DetectorError):
         result: Any = detector.detect(image)
     if not isinstance(result, Detections):
-        raise DetectorError(f"{where}: expected detect() to return Detections, got {type(result).__name__}.")
+        returned = f"{type(result).__name__} {getattr(result, 'shape', '')}".rstrip()
+        raise DetectorError(
+            f"{where}: expected detect() to return Detections, such as Detections.of(boxes, scores, class_ids) with "
+            f"arrays of shapes (N, 4), (N,) and (N,), got {returned}."
+        )
+    if result.xyxy_px.min(initial=0.0) >= 0 < result.xyxy_px.max(initial=0.0) <= 1:
+        example, (height, width) = result.xyxy_px[0].tolist(), image.shape[:2]
+        raise DetectorError(
+            f"{where}: expected boxes in pixels of the image ({width}x{height}), got fractions of its size, such as "
+            f"{example}; multiply them by width and height."
+        )
     return without_confused(result)
 
 

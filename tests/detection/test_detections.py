@@ -3,6 +3,7 @@ import pytest
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
+from track_range.detection.detector import DetectorError, checked_detections
 
 GOOD = ([1.0, 2.0, 3.0, 4.0], 0.5, 2)
 
@@ -68,3 +69,38 @@ def test_unknown_coco_numbers(number):
 def test_detections_are_shown_in_one_line():
     assert repr(Detections.of([[0, 0, 1, 1]] * 3, [0.5] * 3, [2, 5, 2])) == "Detections(2 car, 1 truck)"
     assert repr(Detections.empty()) == "Detections(none)"
+
+
+def returning(value):
+    return type("Own", (), {"detect": lambda self, image: value() if callable(value) else value})()
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        (np.zeros((3, 6)), r"Own, frame 0: expected detect\(\) to return Detections.*, got ndarray \(3, 6\)\.$"),
+        (([[1, 2, 3, 4]], [0.9], [2]), r"got tuple\.$"),
+        (
+            lambda: Detections.of(np.ones((4, 5)), np.ones(4), np.ones(4, int)),
+            r"expected shape \(N, 4\), .* got \(4, 5\)",
+        ),
+        (
+            lambda: Detections.of([[1, 2, 3, 4]], [0.9], ["car"]),
+            r"class_id: expected whole numbers, got .*'car'.*class_id",
+        ),
+        (lambda: Detections([[1, 2, 3, 4]], [0.9], [2], None), r"xyxy_px: expected an array, got list"),
+        (
+            Detections.of([[0.1, 0.2, 0.3, 0.4]], [0.9], [2]),
+            r"pixels of the image \(64x48\), got fractions .*0\.1, 0\.2",
+        ),
+    ],
+)
+def test_detectors_of_users_learn_what_was_expected(value, words):
+    with pytest.raises(DetectorError, match=words):
+        checked_detections(returning(value), np.zeros((48, 64, 3), np.uint8), 0)
+
+
+@pytest.mark.parametrize("boxes", [[[0, 0, 0, 0]], [[-5.0, -5.0, 0.9, 0.9]], []])
+def test_boxes_at_the_corner_are_not_fractions(boxes):
+    detections = Detections.of(boxes, [0.5] * len(boxes), [2] * len(boxes))
+    assert len(checked_detections(returning(detections), np.zeros((48, 64, 3), np.uint8), 0)) == len(boxes)

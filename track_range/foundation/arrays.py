@@ -17,7 +17,9 @@ Image = npt.NDArray[np.uint8]  # (H, W, 3) BGR or (H, W) grey
 
 
 def check_shape(name: str, array: npt.NDArray[Any], expected: tuple[int | None, ...]) -> None:
-    """Raise ValueError unless `array` has the shape `expected` (None matches any length)."""
+    """Raise ValueError unless `array` is an array and has the shape `expected` (None matches any length)."""
+    if not hasattr(array, "shape"):
+        raise ValueError(f"{name}: expected an array, got {type(array).__name__}")
     shape = array.shape
     if shape == expected:
         return

@@ -58,9 +58,22 @@ def settings_from(options: Mapping[str, Any], file: Path | None = None) -> RunSe
 
 
 def options_and_objects(model: type[Options], options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Keywords of Python as values by field of `model`, and the detector, tracker and rig that are objects."""
-    kinds = {"detector": "detect", "tracker": "update", "rig": "right_from_left"}
-    objects = {name: options[name] for name, method in kinds.items() if hasattr(options.get(name), method)}
+    """Keywords of Python as values by field of `model`, and the detector, tracker and rig that are objects.
+
+    ConfigError: one of the three is neither a text or path nor such an object.
+    """
+    objects = {}
+    for name, member, expected in (
+        ("detector", "detect", "the name or file of a model, or an object with detect(image) -> Detections"),
+        ("tracker", "update", "a name, or an object with update(detections, time_s, image) -> Tracks"),
+        ("rig", "right_from_left", "a calibration file or a StereoRig"),
+    ):
+        value = options.get(name)
+        if hasattr(value, member) and not isinstance(value, type):
+            objects[name] = value
+        elif not isinstance(value, str | Path | None):
+            given = f"the class {value.__name__}" if isinstance(value, type) else type(value).__name__
+            raise ConfigError(f"{name}: expected {expected}, found {given}.")
     keywords = model.keywords()
     return {keywords.get(name, name): value for name, value in options.items() if name not in objects}, objects
 

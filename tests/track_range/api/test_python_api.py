@@ -208,7 +208,7 @@ def test_own_detector_with_invalid_boxes(drive):
             return tr.Detections.of([[10, 10, 60, 60]], [90], [2])
 
     run = tr.Run.mono(drive.left, focal_px=700, detector=Percent(), duration=0.3)
-    with pytest.raises(tr.UserError, match=r"Percent, frame 0: score: .*got 90\.0"):
+    with pytest.raises(tr.UserError, match=r"Percent, frame 0: ValueError: score: .*got 90\.0"):
         list(run)
 
 
@@ -310,3 +310,18 @@ def test_docstring_example(drive, tmp_path, monkeypatch, name):
     results = [doctest.DocTestRunner().run(example) for example in examples]
     assert sum(result.attempted for result in results) >= 2
     assert sum(result.failed for result in results) == 0
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "found"),
+    [
+        ("detector", np.zeros((2, 6)), "ndarray"),
+        ("detector", len, "builtin_function_or_method"),
+        ("detector", tr.Overlay, "the class Overlay"),
+        ("tracker", 3, "int"),
+        ("rig", {"fx": 1}, "dict"),
+    ],
+)
+def test_objects_of_other_kinds_are_refused(option, value, found):
+    with pytest.raises(tr.ConfigError, match=rf"^{option}: expected .* or .*, found {found}\.$"):
+        tr.Run.mono("a.mp4", **{option: value})
