@@ -84,7 +84,7 @@ def match_class(
     by_image = [
         _match_image(d, t, class_id, min_height_px=min_height_px, bins=bins)
         for d, t in zip(detections, truth, strict=True)
-        if t.is_complete[class_id]
+        if t.is_complete[class_id] and (class_id in d.class_id or class_id in t.class_id or ANY_CLASS in t.class_id)
     ]
     return [ClassMatches.concatenate([matches[i] for matches in by_image]) for i in range(len(bins))]
 
