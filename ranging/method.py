@@ -60,7 +60,7 @@ class MethodError(UserError):
 
 
 class Measured(NamedTuple):
-    """Distances of one method in a frame, and their evidence of the scale of the drive; None = none."""
+    """Distances of one method in a frame, and their evidence of the scale of the drive, if any."""
 
     ranges: Ranges
     evidence: ScaleEvidence | None = None

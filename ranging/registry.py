@@ -87,7 +87,7 @@ def create_rangers(context: MethodContext, listed: Sequence[RangingMethod] | Non
 
 @cache
 def _installed() -> tuple[tuple[RangingMethod, ...], tuple[str, ...], dict[str, str]]:
-    """All methods but the registered ones, notes on entry points, and the origins of the methods of entry points."""
+    """Built-in methods and methods of entry points, notes on entry points, and the origins of their methods."""
     installed = [imported(method) for method in METHODS.built_in.values()]
     notes, origins = [], dict[str, str]()
     for entry in METHODS.installed:

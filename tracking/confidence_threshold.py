@@ -83,7 +83,7 @@ class ConfidenceThreshold:
         return np.asarray(self._by_group[SAME_OBJECT_GROUP[class_id]])
 
     def update(self, detections: Detections, moved_xyxy_px: FloatArray | None = None) -> None:
-        """Count the boxes of one frame, including low-confidence ones.
+        """Count the boxes of one frame, including boxes of low confidence.
 
         `moved_xyxy_px` (N, 4) are the boxes of the last frame with boxes, moved as their tracks predict, since near
         objects move by more than their width; None = not moved.

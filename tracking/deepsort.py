@@ -123,7 +123,7 @@ class DeepSortTracker:
         self._outermost_px = np.full(4, -np.inf)  # edges of the boxes in the output so far, outwards
 
     def update(self, detections: Detections, time_s: float, image: Image | None) -> Tracks:
-        """The confirmed tracks at `time_s`, by id: detected ones, and missing ones with a reliable prediction.
+        """The confirmed tracks at `time_s`, by id: detected tracks, and missing tracks with a reliable prediction.
 
         `image` is used for camera motion, embeddings and the image border; without it, the border is the extent of all
         boxes so far. Raises ValueError: `time_s` is not later than in the previous call.
@@ -164,7 +164,7 @@ class DeepSortTracker:
     def _with_embeddings(
         self, detections: Detections, is_high: BoolArray, image: Image | None
     ) -> tuple[Detections, float]:
-        """Detections with embeddings of the visible high-confidence ones, and the largest cosine distance of a match.
+        """Detections, with embeddings if visible and of high confidence, and the largest cosine distance of a match.
 
         The embeddings come from the detector or the appearance model; the distance is 0 where there are none.
         """

@@ -173,7 +173,7 @@ def update(
 
 
 def smoothed(filters: BoxFilters, xyxy_px: FloatArray) -> FloatArray:
-    """(N, 4) boxes between the detected ones (N, 4) and the updated filters: less jitter, but some lag in position."""
+    """(N, 4) boxes between the detected boxes (N, 4) and the updated filters: less jitter, but some lag in position."""
     z = cxcywh(xyxy_px)
     return xyxy_from_cxcywh(z + _SMOOTHING * (filters.x - z))
 

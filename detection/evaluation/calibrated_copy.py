@@ -35,7 +35,7 @@ def score_outputs(detector: YoloDetector) -> tuple[int, ...]:
 
 
 def check_attributes(model: Path, out: Path) -> bytes | None:
-    """The attributes beside the model, `MODEL.yaml`, or None; OutputError if the copy at `out` has different ones."""
+    """The attributes beside the model, `MODEL.yaml`, or None; OutputError if the copy at `out` has other attributes."""
     source, target = model.with_suffix(".yaml"), out.with_suffix(".yaml")
     content = source.read_bytes() if source.is_file() else None
     if target.is_file() and target.read_bytes() != content:

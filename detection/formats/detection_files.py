@@ -83,7 +83,7 @@ def read_detections(
     Raises LabelFileError if the file cannot be read, its format is unknown or not `form`, or most rows are invalid.
     """
     if is_blank(path, "detections") and not _text(path).strip():
-        notes = [f"Read {path.name} as an empty file: 0 boxes.", f"{path.name} is empty: there are no boxes."]
+        notes = [f"Read {path.name}: 0 boxes.", f"{path.name} is empty: there are no boxes."]
         return RecordedDetections(np.zeros(0, np.int64), Detections.empty(), form or "rrc", notes=tuple(notes))
     rows = _rows(path, default_class_id, video, form)
     if form not in (None, rows.form):

@@ -1,4 +1,4 @@
-"""Limits of the numbers in label and detection files; larger ones are in another unit or damaged."""
+"""Limits of the numbers in label and detection files; larger numbers are in another unit or damaged."""
 
 import numpy as np
 

@@ -1,7 +1,7 @@
 """Conversion of boxes from and to supervision's `Detections` or objects with the same attributes.
 
-supervision does not have to be installed. It uses the corner convention (the image's left edge is 0), track-range has
-pixel centres at integers (the left edge is -0.5), so boxes are shifted by half a pixel.
+supervision does not have to be installed. It uses the corner convention (the image's left edge is 0), while track-range
+has pixel centres at integers (the left edge is -0.5), so boxes are shifted by half a pixel.
 """
 
 import importlib.util

@@ -78,7 +78,7 @@ def find_model(
 
 
 def model_rows(*, cache: Path | None = None, packaged: Path = PACKAGED_FOLDER) -> list[ModelRow]:
-    """Rows of all models that `--detector NAME` accepts: packaged, in the catalogue, and others in the cache folder."""
+    """Rows of all models that `--detector NAME` accepts: packaged, catalogue, and other models in the cache folder."""
     folder = cache or models_folder()
     rows = []
     for name in _names_in([packaged]):  # the README in the folder is the model card

@@ -51,7 +51,7 @@ class OnnxSession:
     reduced to the first channel for an input of a single channel, and rounded for an input of uint8.
 
     DETR-like networks may have the input `orig_target_sizes` as well; it is the size of the image input, so that boxes
-    are in pixels of that input. `input_shape` has None for dimensions of variable size; `device` is the one in use.
+    are in pixels of that input. `input_shape` has None for dimensions of variable size; `device` is the device in use.
     """
 
     def __init__(self, path: Path, runtime: Runtime | None = None) -> None:

@@ -31,7 +31,7 @@ class OpenedSession(NamedTuple):
 
 
 def open_session(path: Path, device: Device, n_threads: int) -> OpenedSession:
-    """A session on `device`, or on the next one that works: CUDA after TensorRT, the CPU last.
+    """A session on `device`, or on the next device that works: CUDA after TensorRT, the CPU last.
 
     `n_threads` is the number of CPU threads; 0 = one per core. Errors of the CPU's session are raised as they are.
     """
@@ -114,7 +114,7 @@ def _options(device: str) -> dict[str, Any]:
 
 @cache
 def _load_cuda() -> None:
-    """Load the libraries of CUDA and cuDNN that are installed as packages; others are found by the system."""
+    """Load the libraries of CUDA and cuDNN that are installed as packages; the system finds other libraries."""
     with redirect_stdout(io.StringIO()), suppress(AttributeError):  # from onnxruntime 1.21
         ort.preload_dlls()
 

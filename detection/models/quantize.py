@@ -3,7 +3,7 @@
     q = clip(round(x / scale) + zero_point, 0, 255)        x ~ (q - zero_point) * scale
 
 Weights are signed bytes with one scale per output channel, activations unsigned bytes with one scale per tensor (signed
-ones took 1.6 to 2.7 times as long). The range of an activation extends from the mean of the images' minima to the mean
+bytes took 1.6 to 2.7 times as long). The range of an activation extends from the mean of the images' minima to the mean
 of their maxima. Clipping the extremes reduces the disagreement with the float network by 30 to 60 %, compared with the
 range of all values. (A percentile was equally accurate on YOLOX-nano, but took eight times as long.)
 
@@ -70,7 +70,7 @@ def quantize_int8(
     """Write an INT8 copy of the network at `path`, with the same inputs, outputs and metadata.
 
     `blobs` are calibration inputs (1, 3, H, W), 30 to 100 images typical of the network's use in random order, which
-    are read once, one by one; the first ones also determine which layers stay in float, and the corrections of the
+    are read once, one by one; the first blobs also determine which layers stay in float, and the corrections of the
     biases, for which the network is run once per convolution (a minute for YOLOv5n at 640 x 640). `progress` is called
     with the number of convolutions whose bias is corrected and the number of all.
 
@@ -160,7 +160,7 @@ def _name_nodes(graph: onnx.GraphProto) -> None:
 
 
 def _convolutions(graph: onnx.GraphProto) -> set[str]:
-    """Names of the convolutions, except 1x1 ones with one output channel (the weighted mean in YOLOv8's decoder)."""
+    """Names of the convolutions, except 1x1 with one output channel (the weighted mean in YOLOv8's decoder)."""
     weights = {tensor.name: tuple(tensor.dims) for tensor in graph.initializer}
     excluded = {name for name, dims in weights.items() if dims[:1] == (1,) and set(dims[2:]) == {1}}
     return {node.name for node in graph.node if node.op_type == "Conv" and node.input[1] not in excluded}

@@ -87,7 +87,7 @@ class _Input:
         return cls(network, model, Letterbox.of_placement(model.input_format.placement, image_hw, input_hw))
 
     def buffers(self) -> _Buffers:
-        """Free buffers, or new ones with the padding."""
+        """Free buffers, or new buffers with the padding."""
         try:
             return self.free.pop()
         except IndexError:
@@ -312,7 +312,7 @@ class YoloDetector:
         return _Input.of(network, (chosen or readings)[0], image_hw, input_hw)
 
     def _compare_readings(self, image: Image) -> None:
-        """Compare the readings of the outputs on `image`, one of the first, and use the best one from now on."""
+        """Compare the readings of the outputs on `image`, one of the first images, and use the best from now on."""
         network, readings = self._bound[self.input_hw]
         letterbox = self._input.letterbox
         inputs = [_Input.of(network, reading, letterbox.image_hw, letterbox.input_hw) for reading in readings]

@@ -107,14 +107,14 @@ def _names(path: Path, n_classes: int | None, metadata: ModelMetadata) -> Attrib
     """The network's class names: explicit, or the names of COCO or VOC if the number of classes matches."""
     explicit = metadata.get("names", None, "")
     if n_classes is None:
-        return metadata.get("names", COCO_CLASSES, "not in the model; COCO's are assumed, but the number is unknown")
+        return metadata.get("names", COCO_CLASSES, "not in the model; COCO's names are assumed")
     if explicit.value is None:
         if n_classes not in _DEFAULT_NAMES:
             raise ModelError(
                 f"{path}: {n_classes} classes without names; specify them with --names a,b,c or --names FILE."
             )
         list_name, names = _DEFAULT_NAMES[n_classes]
-        return Attribute(names, f"not in the model; {list_name}'s fit its {n_classes} classes")
+        return Attribute(names, f"not in the model; {list_name} has as many names, {n_classes}")
     if len(explicit.value) != n_classes:
         raise ModelError(
             f"{path}: expected {n_classes} class names, got {len(explicit.value)} ({explicit.source}); "

@@ -54,7 +54,7 @@ class NetworkOutputs:
         return float(self.input_hw[1]), float(self.input_hw[0])
 
     def n_cells(self, strides_px: Sequence[int], *, is_rounded_up: bool = False) -> int:
-        """Total number of grid cells of the input at these strides; if rounded up, the last ones may lie outside."""
+        """Total number of grid cells of the input at these strides; if rounded up, the last cells may lie outside."""
         height, width = (-side if is_rounded_up else side for side in self.input_hw)
         return sum((height // stride) * (width // stride) for stride in strides_px)
 

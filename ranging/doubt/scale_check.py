@@ -1,4 +1,4 @@
-r"""ScaleCheck: whether the given scales agree with everything in a drive that has one.
+r"""ScaleCheck: whether the given scales agree with everything in a drive that has a scale.
 
 Unknowns, as logarithms of factors: the error g of the rig (its baseline), a of all distances by size, h of the camera's
 height over the expected one, f of the focal length and u of the given speed.
@@ -144,7 +144,7 @@ class ScaleCheck:
     ) -> None:
         """Start without evidence, for the left `camera` of a pair with a calibrated baseline; None = one camera.
 
-        `height_m` is a given height above the road, None = a usual one; `road_height_m` is the height with which the
+        `height_m` is a given height above the road, None = a usual height; `road_height_m` is the height with which the
         motion of the road is measured. `focal_sigma` is relative, 0 = calibrated; `sizes` have the shapes of vehicles,
         which measure such a focal length. Without the usual width of the lane, lane lines are not used.
         """

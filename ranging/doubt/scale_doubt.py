@@ -33,7 +33,7 @@ class ScaleDoubt(NamedTuple):
         return max((abs(1.0 - 1.0 / factor) + self.sigma / factor for factor in factors), default=0.0)
 
     def sentence(self, baseline_m: float | None) -> str:
-        """What is in doubt, with the mistakes that fit, and what shows it."""
+        """What is in doubt, with the mistakes that fit, and the evidence."""
         doubts = "; or ".join(self._cause(*cause, baseline_m) for cause in self.causes)
         return f"Scale in doubt: {doubts}. Evidence: {self.evidence}. Check the doubtful value."
 

@@ -101,7 +101,7 @@ def ranger_columns(
     """Columns of methods that need only boxes, measured frame by frame as in a run, with new rangers for each sequence.
 
     With a size model, methods get the labels' classes instead of a detector's. `measured` are columns of methods
-    measured before, which the listed ones may read. MethodError: a ranger of another package returned no ranges, or
+    measured before, which the listed methods may read. MethodError: a ranger of another package returned no ranges, or
     ranges of other tracks.
     """
     columns = {method.name: np.full((3, len(boxes)), np.nan) for method in listed}

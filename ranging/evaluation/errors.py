@@ -60,7 +60,7 @@ def score_methods(
     is_road_class: BoolArray,
     kitti_type: npt.NDArray[np.str_],
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Scores of each method on the track-frames that it measured, and on those common to all methods.
+    """Scores of each method on the track-frames that it measured, and on the track-frames that all methods measured.
 
     Methods with a coverage below 0.5 are not part of the common scores. `true_m` (N,) is NaN where unknown. Labels
     that are not of a road class (Van, Tram) appear in `by_class` only.

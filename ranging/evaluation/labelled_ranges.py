@@ -182,7 +182,7 @@ def _notes(settings: RangeEvaluationSettings, n_sequences: int, n_folds: int) ->
         scheme = "fitted and tested on the same drive, as Zhang et al. did (no measure of the error on other drives)"
     elif n_sequences == 1:
         scheme = "fitted and tested on the only sequence"
-    fitted = "the labels' exact boxes" if settings.fit_on == "labels" else "boxes such as those measured"
+    fitted = "the labels' exact boxes" if settings.fit_on == "labels" else "boxes like the measured boxes"
     is_refitted = settings.cross_validate or settings.same_drive or settings.fit_frames is not None
     mono_curves = "fitted in the same way" if is_refitted else f"{settings.curves or 'packaged'}"
     objects = "labels at 5-100 m, not truncated, occluded <= 1"

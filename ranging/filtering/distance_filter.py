@@ -213,8 +213,8 @@ class DistanceFilters:
             ego_speed_mps: current speed of the camera along its axis; NaN = unknown.
             ego_sigma_mps: its standard deviation; NaN = 0.
             yaw_rad_s: its yaw rate, positive = to the right; NaN = 0.
-            cut: boxes of the tracks that the image border cuts; None = none is cut, and all are on the camera's axis.
-            is_hidden: (N,) whether distances come from boxes with hidden sides (`have_hidden_sides`); None = none.
+            cut: boxes of the tracks that the image border cuts; None = no box is cut, and all are on the camera's axis.
+            is_hidden: (N,) whether distances come from boxes with hidden sides (`have_hidden_sides`); None = no box.
             growth: growth of the tracks in the images, not used of boxes that are cut; None = not measured.
             class_id: (N,) road class of each track, whose motion is learnt; None = all are cars.
             may_be_static: (N,) False = the track certainly moves; None = all may be static.

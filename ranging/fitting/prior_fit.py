@@ -52,7 +52,7 @@ STANDARD_SIZES: Mapping[str, tuple[tuple[float, float, float], tuple[float, floa
     "traffic light": (
         (0.95, 0.35, 0.35),
         (0.35, 0.35, 0.35),
-        "three lamps of 200 or 300 mm; some have one, two or four lamps lamps",
+        "three lamps of 200 or 300 mm; some have one, two or four lamps",
     ),
     "traffic sign": ((0.70, 0.70, 0.05), (0.30, 0.30, 0.30), "round and octagonal signs of 600-900 mm"),
 }

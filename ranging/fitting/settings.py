@@ -49,7 +49,7 @@ class FitSettings(Options):
         ),
     ] = None
     compare: Annotated[
-        bool, option("Comparison of all curves of one measure: errors on the fitted and on other sequences.")
+        bool, option("Comparison of all curves of one measure: errors on the fitted sequences and on other sequences.")
     ] = False
     picture: Annotated[
         Path | None, option("Picture of the labelled boxes with all curves of one measure.", metavar="FILE.png")

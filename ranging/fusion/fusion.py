@@ -107,7 +107,7 @@ class Fusion:
     """
 
     def __init__(self, methods: Sequence[RangingMethod] | None = None) -> None:
-        """Start without tracks; `methods` are the methods to fuse, None = all registered ones."""
+        """Start without tracks; `methods` are the methods to fuse, None = all registered methods."""
         self._model = ErrorModel.of(registry.methods() if methods is None else methods)
         self._tracks = TrackState(TrackBiases.initial_column(self._model))
 

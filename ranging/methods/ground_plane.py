@@ -309,7 +309,7 @@ class GroundPlane:
         )
 
     def _slots(self, track_id: IntArray) -> IntArray:
-        """(N,) index of each track in `_terms`; removes tracks with too little information and adds new ones."""
+        """(N,) index of each track in `_terms`; removes tracks with too little information and adds new tracks."""
         if np.array_equal(track_id, self._ids):
             return np.arange(len(track_id))
         is_same = track_id[:, None] == self._ids

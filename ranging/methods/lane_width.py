@@ -8,7 +8,7 @@ r"""LaneWidthRanger: distance from the image width of the lane at an object's co
                    bottom edge, grows with the distance as for all methods that use the contact point.
 
 Pitch cancels if lines and box come from the same image; a run detects lines ten times per second and uses the latest
-ones in between. The contact point belongs to the nearest surface, or to tyres behind it (`surface_offset_m`).
+lines in between. The contact point belongs to the nearest surface, or to tyres behind it (`surface_offset_m`).
 
 W has a prior by region and road, and is learnt from the distances d_i of the tracks by another method:
 
@@ -68,7 +68,7 @@ on KITTI 0005.
 
 
 def usual_width(region: Region, width_m: float | None = None) -> LaneWidth:
-    """The width of a lane on any road of a region; or a given one."""
+    """The width of a lane on any road of a region, or a given width."""
     return LaneWidth(_WIDTHS_M[region][0], _ANY_SIGMA) if width_m is None else LaneWidth(width_m, _GIVEN_SIGMA)
 
 

@@ -84,7 +84,7 @@ _N_ROWS = 2 * _GRID**2 + 13
 
 
 class _Pyramid:
-    """An image and its halved ones side by side, so that patches of all levels are sampled at once."""
+    """An image and its halved copies side by side, so that patches of all levels are sampled at once."""
 
     def __init__(self, image: Image) -> None:
         grey = small_grey(image, 0)
@@ -237,7 +237,7 @@ def _aligned(
 
 
 def _covered(centre_px: FloatArray, extent_px: FloatArray, xyxy_px: FloatArray, rows: IntArray) -> BoolArray:
-    """(N, P) whether points of patches (N, 2) of the boxes `rows` (N,) are in a box that ends lower, a nearer one."""
+    """(N, P) whether points of patches (N, 2) of the boxes `rows` (N,) are in a nearer box, which ends lower."""
     is_covered = np.zeros((len(rows), _GRID**2), np.bool_)
     low_px, high_px = centre_px - extent_px, centre_px + extent_px
     meets = (low_px[:, None] <= xyxy_px[:, 2:]).all(axis=2) & (high_px[:, None] >= xyxy_px[:, :2]).all(axis=2)

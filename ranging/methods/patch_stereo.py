@@ -5,9 +5,9 @@ SizeScaledRanger: stereo without calibration; the scale is learnt from the sizes
     Z = K / d        K = f B, the product of focal length and baseline that a calibration would give
     K_i = Z_mono d   one measurement per track of a class of known size; K is their weighted median
 
-A single object is a poor measurement, since sizes vary within a class; the median of many is a good one. Distances are
-then consistent with each other and over time, and only their common scale is uncertain. The error of the focal length
-is common to all methods and not part of these sigmas.
+A single object is a poor measurement, since sizes vary within a class; the median of many is a good measurement.
+Distances are then consistent with each other and over time, and only their common scale is uncertain. The error of the
+focal length is common to all methods and not part of these sigmas.
 """
 
 from collections import Counter

@@ -80,7 +80,7 @@ class CuboidSizes:
     def measure(self, boxes: BoxExtents, drive: DriveState | None = None) -> SizeRanges:
         """Distances of the boxes of one frame, which share a ground plane.
 
-        `drive` has a frame started for the tracks of the boxes; None = only this frame is known.
+        `drive` has started this frame (`DriveState.start_frame`); None = only this frame is known.
         """
         rows = self._has_prior[boxes.size_class].nonzero()[0]
         if 0 < len(rows) == len(boxes):

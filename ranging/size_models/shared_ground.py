@@ -6,7 +6,7 @@
 
 z_i has a relative error of about 8 %. On KITTI, contact points within 4 m of the camera's axis are 0.1 m above or
 below the plane, points at 8-14 m 0.36 m, and at 14-25 m 0.6 m: cross slopes, roll and side roads, which act as an angle
-times the bearing. Far objects, whose contact points matter little, determine the horizon for the near ones. y0 and H
+times the bearing. Far objects, whose contact points matter little, determine the horizon for near objects. y0 and H
 are estimated for each object from the other objects only, so that they are independent of its size: objects of the
 frame, and objects that were seen earlier in the drive (`DriveState`), between which the pitch has changed.
 """

@@ -260,7 +260,7 @@ class SizeModel(Protocol):
     """Model of object sizes: curves, or priors over cuboids."""
 
     def measure(self, boxes: BoxExtents, drive: DriveState | None = None) -> SizeRanges:
-        """Distances of the boxes of one frame; `drive` has a frame started for their tracks."""
+        """Distances of the boxes of one frame; `drive` has started it for their tracks (`DriveState.start_frame`)."""
         ...
 
 

@@ -11,7 +11,7 @@ A filter of 1 / Z follows the object:
     rho' = rho / (1 - rho V dt)
 
 A moving vehicle has a growth as well, by its own speed along the road: a car that moves with half of the camera's speed
-appears twice as far. An object counts as static if its triangulated distance agrees with another one (by size) within
+appears twice as far. An object counts as static if its triangulated distance agrees with its distance by size within
 `_MAX_SIGMA` for `_MIN_STATIC_S`; only vehicles, signs and lights are considered, since people walk slowly.
 """
 

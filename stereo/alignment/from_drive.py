@@ -68,7 +68,7 @@ class DriveAlignment:
 
     @property
     def is_full(self) -> bool:
-        """Whether the drive has enough frames; its further frames are ignored."""
+        """Whether the drive has enough frames; further frames are then ignored."""
         return self._n_segments_left <= 0 or self._n_frames_left <= 0
 
     @property
@@ -169,7 +169,7 @@ class DriveAlignment:
         self._last_s, self._tracks = -math.inf, FeatureTracks()
 
     def _close(self) -> None:
-        """Make a segment of the frames since the last one."""
+        """Make a segment of the frames since the last segment."""
         points, self._points = self._points, []
         n_static, self._n_static = self._n_static, 0
         if len(points) < MIN_FRAMES:

@@ -63,8 +63,8 @@ def fit_reference(
 ) -> Alignment:
     """The alignment from known disparities; NaN rows and mismatches are ignored.
 
-    Arrays are (N,): disparities of a matcher, true ones, columns in the image of the rectified left camera, and groups
-    (frame, pair or object) within which errors may be correlated. `sigma_px` (N,) are standard deviations of the
+    Arrays are (N,): disparities of a matcher, true disparities, columns in the image of the rectified left camera, and
+    groups (frame, pair or object) within which errors may be correlated. `sigma_px` (N,) are standard deviations of the
     matcher, excluded from the residual, None = zeros; `seed` is for the resampling.
     Raises RigError if fewer than five objects are usable.
     """

@@ -296,7 +296,7 @@ def _flow_px(first: _Features, second: _Features) -> float:
 
 
 def _features(image: Image) -> _Features:
-    """ORB features of the upper and the lower half of a grey image: on the road there are few, and weak ones."""
+    """ORB features of the upper and the lower half of a grey image: on the road, features are few and weak."""
     half, border = image.shape[0] // 2, 31  # of ORB, which finds no features beside the image border
     xy_px, angle_deg, descriptors = [np.zeros((0, 2))], [np.zeros(0)], [np.zeros((0, 32), np.uint8)]
     orb = cv2.ORB.create(nfeatures=_N_FEATURES)

@@ -145,4 +145,5 @@ def _tilts_missing(tilts_deg: FloatArray, normals: FloatArray) -> list[str]:
     facing = normals * np.sign(normals[:, 2:])
     spread_deg = np.degrees(np.ptp(facing[:, :2], axis=0))
     axes = (("left and right", spread_deg[0]), ("forward and backward", spread_deg[1]))
-    return [f"the board is hardly ever tilted {name}: add such views." for name, spread in axes if spread < _TILTED_DEG]
+    missing = [name for name, spread in axes if spread < _TILTED_DEG]
+    return [f"hardly any view has the board tilted {name}: add such views." for name in missing]

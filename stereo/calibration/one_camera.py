@@ -37,7 +37,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class CameraModel:
-    """What is fitted to the views."""
+    """The camera model that is fitted to the views."""
 
     lens: str = PINHOLE  # name of the lens model, pinhole or kannala-brandt
     n_distortion_coefficients: int = 5  # number of distortion coefficients of a pinhole: 0, 4, 5 or 8

@@ -158,7 +158,7 @@ def _fit(pairs: Sequence[ViewPair], models: Models) -> tuple[StereoRig, tuple[Pa
 
 
 def _fitted_pinholes(pairs: Sequence[ViewPair], models: Models) -> tuple[StereoRig, FloatArray]:
-    """The least-squares rig of pinholes, starting from the cameras calibrated alone, and the boards' poses in it."""
+    """The least-squares rig of pinholes, starting from the cameras calibrated alone, and the poses of the boards."""
     n_distortion_coefficients = models[0].n_distortion_coefficients
     cameras = [camera for camera, _ in _single_fits(pairs, models)]
     distortion = [rectification.distortion_coefficients(camera) for camera in cameras]

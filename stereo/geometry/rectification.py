@@ -289,7 +289,7 @@ def stereo_rectification(
 
 
 def _wide_rectification(rig: StereoRig, fov_deg: float | None) -> tuple[_Matrix, _Matrix, _Matrix, _Matrix, _Matrix]:
-    """Bouguet's rotations with the left camera's virtual pinhole: wide lenses also image what the rotations move in."""
+    """Bouguet's rotations with the left camera's virtual pinhole: wide lenses image all that the rotations need."""
     camera = _ideal(rig.left, fov_deg)
     translation = rig.right_from_left[:3, 3:]
     r1, r2, *_ = cv2.stereoRectify(

@@ -64,7 +64,7 @@ class SurfaceChoice:
 
 @dataclass(frozen=True, slots=True)
 class OtherBoxes:
-    """All boxes of a frame with their expected disparities: nearer ones occlude, farther ones are background."""
+    """All boxes of a frame with their expected disparities: nearer boxes occlude, farther boxes are background."""
 
     xyxy_px: FloatArray  # (M, 4) boxes
     expected_px: FloatArray  # (M,) expected disparities, from the track or the size; NaN = unknown

@@ -71,7 +71,7 @@ def fit_surfaces(
     is_curved: bool = False,
     n_iterations: int = 4,
 ) -> SurfaceFit:
-    """The surfaces through disparities `index` with weights (..., N, G), px of the tile; 0 = not part of it.
+    """The surfaces through disparities `index` with weights (..., N, G), px of the tile; 0 = not part of a surface.
 
     Each iteration solves (A^T W A + ridge) p = A^T W d with the rows (1, u, v, u^2, v^2) of A.
 

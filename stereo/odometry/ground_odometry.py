@@ -277,7 +277,7 @@ def horizon_error(shift_m: float, distance_m: FloatArray, shifts_m: FloatArray, 
 
 
 def _peaks_near(scores: FloatArray, cell: int) -> FloatArray:
-    """(K,) maxima of the strips' correlations (K, M) near the common one, in cells; NaN = none."""
+    """(K,) maxima of the strips' correlations (K, M) near the common maximum, in cells; NaN = none."""
     start = max(cell - _MAX_STRIP_CELLS, 1)
     peaks = np.full(len(scores), np.nan)
     for i, score in enumerate(scores):

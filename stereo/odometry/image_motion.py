@@ -115,7 +115,7 @@ class ImageMotionEstimator:
         """Motion since the previous frame, which must be earlier; unknown for the first frame and after a gap.
 
         The image is (H, W, 3) BGR or (H, W) grey, of the size of the camera; `xyxy_px` (N, 4) are boxes of road users,
-        which are not static, None = none known.
+        which are not static; None = no boxes are known.
         """
         image_hw = self._camera.height_px, self._camera.width_px
         check_shape("image", image[:, :, 0] if image.ndim == 3 else image, image_hw)

@@ -256,7 +256,7 @@ def _read_realsense(text: str, path: Path) -> RigCalibration:
             return replace(rig, others=tuple(others))
     names = quoted(", ".join(stream for stream, cameras in intrinsics.items() if cameras) or "none")
     raise RigError(
-        f'{path}: expected intrinsics of "Infrared 1" and "Infrared 2" and the extrinsic between them, found those of '
+        f'{path}: expected intrinsics of "Infrared 1" and "Infrared 2" and the extrinsic between them, found only '
         f"{names}; write the file with rs-enumerate-devices -c > rig.txt."
     )
 

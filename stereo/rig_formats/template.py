@@ -1,4 +1,4 @@
-"""A rig.yaml with what could be read of any calibration, and blanks for what is missing."""
+"""A rig.yaml with the values that could be read from a calibration, and blanks for missing values."""
 
 import contextlib
 from pathlib import Path

@@ -70,7 +70,7 @@ def find_views(images: BoardImages, board: Board, advance: Advance) -> BoardSear
     shots = _of_one_size(shots, rejected, notes)
     shots = _sharp(shots, rejected)
     if len(shots) > MAX_VIEWS:
-        notes.append(f"{MAX_VIEWS} of {len(shots)} views used, selected for variety.")
+        notes.append(f"{MAX_VIEWS} of {len(shots)} views are used, selected for variety.")
         shots = [shots[i] for i in most_different([shot[0] for shot in shots], MAX_VIEWS)]
     return BoardSearch(shots, rejected, notes, n_images)
 

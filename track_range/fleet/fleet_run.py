@@ -30,7 +30,7 @@ _WITH_FOLDERS = ("recordings", "out", "pattern", "rig", "settings", "cache_dir")
 
 
 class FleetResult(NamedTuple):
-    """Clips by result, names and errors of the failed ones, and duration of the run in s."""
+    """Clips by result, names and errors of failed clips, and duration of the run in s."""
 
     counts: FleetState
     failed: list[tuple[str, str]]

@@ -39,7 +39,7 @@ class FleetSettings(Options):
             min_length=1,
         ),
     ]
-    out: Annotated[str, _output("Folder of the results: a local one, or s3://BUCKET/PREFIX.", metavar="DIR|URI")]
+    out: Annotated[str, _output("Folder of the results: a local folder, or s3://BUCKET/PREFIX.", metavar="DIR|URI")]
     pattern: Annotated[
         str | None,
         _input(

@@ -175,7 +175,7 @@ class Options(BaseModel):
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Self:
-        """Options from values by name, None = not given; raises UsageError for missing, invalid or conflicting ones."""
+        """Options from values by name, None = not given; UsageError for missing, invalid or conflicting options."""
         try:
             return cls(**{name: value for name, value in given.items() if value is not None})
         except ValidationError as error:

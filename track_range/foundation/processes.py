@@ -123,6 +123,6 @@ def owned_process() -> Iterator[None]:
 
 
 def search_current_folder() -> None:
-    """Let modules be imported from the current folder too, after the installed ones, if the process is ours."""
+    """Let modules be imported from the current folder too, after installed modules, if the process is ours."""
     if _is_owned and os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())

@@ -10,7 +10,7 @@ _MAX_DIGITS = 9  # number of digits to which a version is read; longer ones are 
 
 
 def schema_version_of(metadata: Mapping[bytes, bytes] | None) -> int | None:
-    """Schema version in the metadata of an Arrow schema; None without a valid one."""
+    """Schema version in the metadata of an Arrow schema; None if it is missing or invalid."""
     text = (metadata or {}).get(f"{METADATA_PREFIX}schema_version".encode(), b"")
     return int(text[:_MAX_DIGITS]) if text.isdigit() else None
 

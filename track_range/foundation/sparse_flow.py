@@ -177,7 +177,7 @@ class BackgroundFlow:
     def add(self, image: Image, xyxy_px: FloatArray, time_s: float = math.nan) -> None:
         """Make an image, BGR or grey, the last frame, unless the last one has the same time; NaN = unknown.
 
-        Boxes `xyxy_px` (N, 4) of road users are not background; invalid ones are ignored.
+        Boxes `xyxy_px` (N, 4) of road users are not background; invalid boxes are ignored.
         """
         if time_s == self._last_s:
             return

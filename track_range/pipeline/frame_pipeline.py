@@ -174,7 +174,7 @@ class FramePipeline:
 
     @property
     def scale_doubt(self) -> ScaleDoubt | None:
-        """The contradiction between the given values and the drive so far; None = none was found."""
+        """The contradiction between the given values and the drive so far; None if no contradiction was found."""
         return None if self.scale_check is None else self.scale_check.doubt
 
     def close(self) -> None:

@@ -89,7 +89,7 @@ class FrameResult:
         ego_mps: speed of the camera along its axis in m/s, negative = backwards; NaN = unknown.
         ego_sigma_mps: its standard deviation; NaN = unknown.
         warnings: probability of contact and alarm of each track; None if they were not estimated.
-        scale_doubt: contradiction between a given scale and the drive; None = none was found.
+        scale_doubt: contradiction between a given scale and the drive; None if there is none.
         motion: speed over ground, heading, world position and state of each track; None if they were not estimated.
         ego_pose: pose of the camera in the frame `map`; None if it was not estimated.
         safety: gap, headway, required deceleration and further measures of each track; None if they were not estimated.

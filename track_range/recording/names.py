@@ -25,7 +25,7 @@ class Segments:
 
 @dataclass(frozen=True, slots=True)
 class BagTopic:
-    """A topic with images, None = the only one, of an MCAP file, ROS bag, or folder of a ROS 2 bag."""
+    """A topic with images (None = the only topic) of an MCAP file, ROS bag, or folder of a ROS 2 bag."""
 
     path: Path
     topic: str | None

@@ -102,7 +102,7 @@ class RecordedVideo(ABC):
 
     @abstractmethod
     def frames(self, from_s: float, until_s: float) -> Generator[VideoFrame, None, None]:
-        """The frames with file times in [from_s, until_s); damaged ones are skipped, see `notes`."""
+        """The frames with file times in [from_s, until_s); damaged frames are skipped, see `notes`."""
 
     @abstractmethod
     def check_unchanged(self) -> None:

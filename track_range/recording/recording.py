@@ -69,7 +69,7 @@ class Recording:
 
     @property
     def videos(self) -> tuple[Video, ...]:
-        """The left or only video, and the right one."""
+        """The left or only video, and the right video."""
         return (self.source.left, self.source.right) if isinstance(self.source, VideoPair) else (self.source,)
 
     @property
@@ -187,8 +187,8 @@ def open_recording(
         focal_px: focal length of cameras without a calibration file.
         fov_deg: horizontal field of view, 20 to 120 degrees, to which the images of wide lenses are undistorted; None =
         the lens's, up to 120 degrees.
-        yaw_deg: direction of the axis of the undistorted images of one camera with a wide lens, to the right of its
-            own.
+        yaw_deg: direction of the axis of the undistorted images of one camera with a wide lens, to the right of the
+        lens axis.
         align: disparity correction of a calibrated pair: "auto" = estimated from its first frames (at most 8 s),
             "off", an alignment file, or an alignment.
         start_s: start of the part to read, in seconds after the left video's first frame.
@@ -201,7 +201,7 @@ def open_recording(
         topics: topics of the images of the left and right camera, if `left` and `right` are MCAP files or ROS bags.
         stereo_layout: layout of the images of two cameras in one recording: "side-by-side", "right-left",
             "top-bottom", "bottom-top", "tracks" (two video tracks), or "auto" = detected.
-        track: video track of the files of one camera, counted from 0; None = the largest one.
+        track: video track of the files of one camera, counted from 0; None = the largest track.
         bayer: Bayer filter of images in folders: "rggb", "bggr", "gbrg" or "grbg".
         progress: shows the progress of the alignment's estimation.
 

@@ -91,7 +91,7 @@ def parsed_utc(text: str) -> UtcStart:
 
 
 def stamp_in_header(metadata: Mapping[str, str]) -> Stamp | None:
-    """The date and time in a video file's metadata; None = none, or an implausible one."""
+    """The date and time in a video file's metadata; None if there are none, or implausible ones."""
     apple = _parsed(metadata.get("com.apple.quicktime.creationdate", ""))
     if apple is not None:
         return Stamp(apple.timestamp(), "creation date with time zone of the video file")
@@ -100,7 +100,7 @@ def stamp_in_header(metadata: Mapping[str, str]) -> Stamp | None:
 
 
 def stamp_in_name(name: str) -> Stamp | None:
-    """The last date and time in a file name; None = none."""
+    """The last date and time in a file name; None if there is none."""
     matches = list(_TIME_IN_NAME.finditer(name))
     if matches:
         *digits, thousandths, zulu, offset = matches[-1].groups()
@@ -142,7 +142,7 @@ def start_of(header: Stamp | None, name: Stamp | None, duration_s: float) -> Utc
 
 
 def _parsed(text: str) -> datetime | None:
-    """A plausible date and time in ISO 8601, UTC if it names no zone; None = none."""
+    """A plausible date and time in ISO 8601, UTC if it names no zone; None for other texts."""
     try:
         moment = datetime.fromisoformat(text.strip())
         if moment.tzinfo is None:

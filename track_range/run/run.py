@@ -215,9 +215,9 @@ class Run:
             RuntimeError: the run was iterated before, or is closed.
         """
         if self._frames is not None:
-            raise RuntimeError("expected a run that was not iterated yet; create a new one, or use its rows (to_arrow)")
+            raise RuntimeError("expected a run that was not iterated yet; create a new run, or use its rows (to_arrow)")
         if self._is_closed:
-            raise RuntimeError("expected an open run, but it was closed; create a new one")
+            raise RuntimeError("expected an open run, but it was closed; create a new run")
         frames = self._processed()
         self._frames = weakref.ref(frames)  # a weak reference: when the loop drops the generator, the run ends
         return frames

@@ -40,9 +40,9 @@ class RangingOptions(Options):
     region: Annotated[
         Region | None,
         _clip_option(
-            "Region of the recording, whose vehicles, people and lanes differ in size from others (default: from GPS "
-            "positions, which --ego-speed auto reads; else unknown, with larger sigmas of one camera). Size curves in "
-            "a file override the region."
+            "Region of the recording, since sizes of vehicles, people and lanes differ between regions (default: from "
+            "GPS positions, which --ego-speed auto reads; else unknown, with larger sigmas for one camera). Size "
+            "curves in a file override the region."
         ),
     ] = None
     sgbm: Annotated[
@@ -168,7 +168,7 @@ class OutputOptions(Options):
         _file_option(
             "Markdown file for the tables of the run.",
             metavar="FILE.md",
-            instead="it would be overwritten by every clip; use `track-range fleet report`",
+            instead="every clip would overwrite the file; use `track-range fleet report`",
         ),
     ] = None
     keep_gps: Annotated[
@@ -200,7 +200,7 @@ class OutputOptions(Options):
     overlay_recorded: Annotated[
         bool,
         option(
-            "Overlay on the recorded images of a wide lens instead of the undistorted ones.",
+            "Overlay on the recorded images of a wide lens instead of the undistorted images.",
             flag="--overlay-recorded/--no-overlay-recorded",
         ),
     ] = False

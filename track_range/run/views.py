@@ -50,7 +50,7 @@ def run_views(settings: RunSettings, views_deg: Sequence[float], run: Callable[[
 def directions_deg(text: str, settings: RunSettings) -> tuple[float, ...]:
     """Directions of a value of --views, ascending; UsageError if not two or more, or if the settings allow one view."""
     if settings.mono is None or settings.yaw_deg:
-        raise UsageError("--views: expected --mono and no --yaw-deg, since each view has its own.")
+        raise UsageError("--views: expected --mono and no --yaw-deg, since each view has its own direction.")
     if settings.table is not None:
         raise UsageError("--table: not allowed with --views, since each view would replace the file; omit one.")
     try:

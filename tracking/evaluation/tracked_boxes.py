@@ -1,7 +1,7 @@
 """TrackedBoxes: boxes with identities in many frames, truth or result; Similarity: their IoU in each frame.
 
 All metrics are computed from the similarity, so that they count the same boxes; its identities are numbered from 0.
-IgnoreRegions: where results are ignored.
+IgnoreRegions are the regions in which results are ignored.
 """
 
 from __future__ import annotations

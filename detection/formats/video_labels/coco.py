@@ -172,7 +172,7 @@ class CocoFile:
         )
 
     def boxes(self, frame_of: Mapping[int | str, int]) -> tuple[list[CocoBox], int]:
-        """All annotations with width and height, and the number of all others; `frame_of` has the frame by image id."""
+        """All annotations with width and height, and how many have neither; `frame_of` has the frame by image id."""
         boxes, n_empty = [], 0
         for where, item in self._section("annotations"):
             image, category = self._id(item, "image_id", where), self._id(item, "category_id", where)

@@ -226,7 +226,7 @@ class _Content:
         return notes
 
     def _check_number(self, line: int) -> None:
-        """Check the number of tracks and boxes before memory is used for another one."""
+        """Check the number of tracks and boxes before memory is used for another track or box."""
         if len(self.tracks) + len(self.boxes) >= MAX_BOXES:
             raise self._fault(line, f"at most {MAX_BOXES} tracks and boxes", "more")
 

@@ -83,7 +83,7 @@ def read_csv_table_of_labels(path: Path, video: VideoFacts) -> BoxTable:
 
 
 def read_tracks_table(path: Path, video: VideoFacts) -> BoxTable:
-    """The rows of a run's tracks.csv; the distance is the fused one. LabelFileError if the file is invalid."""
+    """The rows of a run's tracks.csv; the distance is the fused distance. LabelFileError if the file is invalid."""
     table = read_csv_table(path, LabelFileError, f"columns {', '.join(_COLUMNS)}, class")
     table.require((*_COLUMNS, "class"))
     columns = {name: table.finite(name) for name in _COLUMNS}
@@ -92,7 +92,7 @@ def read_tracks_table(path: Path, video: VideoFacts) -> BoxTable:
 
 
 def read_parquet_table(path: Path, video: VideoFacts) -> BoxTable:
-    """The rows of a run's tracks.parquet; the distance is the fused one. LabelFileError if the file is invalid."""
+    """The rows of a run's tracks.parquet; the distance is the fused distance. LabelFileError if the file is invalid."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 

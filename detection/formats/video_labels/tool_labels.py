@@ -286,7 +286,7 @@ def start_of(path: Path) -> str:
 
 
 def label_files(folder: Path) -> list[Path]:
-    """The JSON or XML files of a folder, or of the folder for annotations in it, sorted by name."""
+    """The JSON or XML files of a folder, or of its subfolder for annotations, sorted by name."""
     for name in _FOLDERS:
         with readable(folder, LabelFileError):
             inside = folder / name

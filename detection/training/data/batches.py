@@ -26,7 +26,7 @@ class BatchMaker:
         self._seed, self._n_workers = seed, n_workers
 
     def __len__(self) -> int:
-        """Number of batches per epoch; the last one may be smaller, and is left out if it has a single image."""
+        """Number of batches per epoch; the last batch may be smaller, and is left out if it has a single image."""
         whole, rest = divmod(len(self._images), self._batch_size)
         return max(whole + (rest > 1), 1)
 

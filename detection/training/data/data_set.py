@@ -51,7 +51,7 @@ class TrainingSets:
 
 
 class CachedImages:
-    """Labelled images, cached in memory while there is room; the others are read from disk each time.
+    """Labelled images, cached in memory while there is room; other images are read from disk each time.
 
     `unreadable`: one message for each image that could not be read and was left out.
     """

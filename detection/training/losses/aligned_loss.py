@@ -87,7 +87,7 @@ def assign_aligned(
 
 
 def _is_largest(value: Tensor, key: Tensor) -> Tensor:
-    """(P,) whether a value (P,) is the largest one with the same key (P,); of equal values, the last one is."""
+    """(P,) whether a value (P,) is the largest one with the same key (P,); among equal values, only the last one is."""
     place = torch.argsort(torch.argsort(value, stable=True))  # of each value in the sorted order
     largest = torch.full((int(key.max()) + 1 if len(key) else 0,), -1, device=key.device)
     return place == largest.scatter_reduce(0, key, place, "amax")[key]

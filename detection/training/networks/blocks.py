@@ -111,7 +111,7 @@ class C3(nn.Module):
 
 
 class Sppf(nn.Module):
-    """Spatial pyramid pooling: three consecutive 5x5 max pools, equivalent to parallel ones of 5x5, 9x9 and 13x13."""
+    """Spatial pyramid pooling: three consecutive 5x5 max pools, equivalent to parallel pools of 5x5, 9x9 and 13x13."""
 
     def __init__(self, n_in: int, n_out: int) -> None:
         super().__init__()

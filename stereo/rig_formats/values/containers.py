@@ -47,7 +47,7 @@ _MATLAB_ADVICE = (
 _BINARY = (  # begins of the content, what it is, what to do
     ((b"\x89HDF", b"MATLAB 7.3"), "a MATLAB file of version 7.3 (HDF5)", _MATLAB_ADVICE),
     ((b"\x89PNG", b"\xff\xd8\xff"), "a picture",
-     "give the file of the calibration, or calibrate with such pictures: calibrate --stereo"),
+     "give the file of the calibration, or calibrate with these pictures: calibrate --stereo"),
     ((b"SVO",), "a recording of a ZED", "give its factory calibration, SN followed by the serial number, .conf"),
     ((b"\x89MCAP", b"#ROSBAG"), "a bag", "give the bag as the recording; its camera_info is read from there"),
     ((b"\x1f\x8b",), "a gzip archive", "unpack it first"),
@@ -208,7 +208,7 @@ def _beside(path: Path) -> dict[str, Any]:
 
 
 def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Any:
-    """A small array of an .npz; None for a large one."""
+    """A small array of an .npz; None for a large array."""
     if info.file_size > _MAX_ARRAY_BYTES:
         return None
     with archive.open(info) as file:

@@ -28,7 +28,7 @@ _CELL, _STRUCT, _OBJECT, _TEXT, _SPARSE, _OPAQUE = 1, 2, 3, 4, 5, 17  # classes 
 
 
 class MatFile:
-    """Content of a .mat file; raises ValueError and struct.error for a damaged one."""
+    """Content of a .mat file; raises ValueError and struct.error for damaged content."""
 
     def __init__(self, content: bytes) -> None:
         self._order = "<" if content[126:128] == b"IM" else ">"
@@ -71,7 +71,7 @@ class MatFile:
             place += 8 + size + (0 if kind == _COMPRESSED else -size % 8)
 
     def _matrix(self, content: bytes, depth: int) -> tuple[str, Any]:
-        """Name and value of a matrix; "" and None for an empty one."""
+        """Name and value of a matrix; "" and None for an empty matrix."""
         if depth > _MAX_DEPTH:
             raise ValueError(f"more than {_MAX_DEPTH} nested values")
         if not content:

@@ -221,7 +221,7 @@ def _named(path: tuple[str, ...], value: Any) -> tuple[Side, str | None]:
 
 
 def _direction(path: tuple[str, ...]) -> int | None:
-    """Direction in a key: 1 = from the first camera to the second, -1 = reverse, 0 = of other cameras; None = none."""
+    """Direction in a key: 1 = from the first camera to the second, -1 = reverse, 0 = other cameras; None = no key."""
     for key in path[:-1]:
         if match := _BETWEEN.fullmatch(_SEPARATORS.sub("", key.lower())):
             sides = [_side_of(_AROUND.fullmatch(word)) for word in match.groups()]

@@ -119,7 +119,7 @@ def test_manifest_unknown_class_and_damaged_image(rectangles, cli):
     assert figures["n_images"] == 3
     assert figures["models"]["finder"]["classes"]["car"]["n_images"] == 2  # in image 0 not all cars are labelled
     assert "p does not detect car" in printed
-    assert "1 images skipped" in printed.replace("\n", " ")
+    assert "Skipped 1 image;" in printed.replace("\n", " ")
     status, _, errors = cli(
         "evaluate",
         "detections",

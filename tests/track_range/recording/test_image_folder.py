@@ -158,7 +158,7 @@ def test_damaged_image(folder: Path, level: Level, stored: bytes) -> None:
     for _ in range(2):  # each reading counts anew
         assert [(frame.index, round(frame.time_s, 6)) for frame in reader] == [(0, 0.0), (2, 0.2)]
         (note,) = reader.notes
-        assert "1 unreadable image skipped" in note
+        assert "skipped 1 unreadable image" in note
         assert "000001.png" in note
 
 
@@ -169,7 +169,7 @@ def test_damaged_first_images(folder: Path, level: Level) -> None:
     reader = open_video(folder)
     assert (reader.width_px, reader.height_px, reader.first_time_s) == (64, 48, pytest.approx(0.2))
     assert [frame.index for frame in reader] == [2]
-    assert "2 unreadable images skipped" in reader.notes[0]
+    assert "skipped 2 unreadable images" in reader.notes[0]
 
 
 def test_no_readable_image(folder: Path, level: Level) -> None:

@@ -47,7 +47,7 @@ def indices(video: RecordedPair) -> list[tuple[int, int]]:
 
 def n_unused(video: RecordedPair, side: str) -> int:
     """Number of frames of one side that the notes report as skipped."""
-    counts = (re.findall(rf"(\d+) {side} frames? ", note) for note in video.notes)
+    counts = (re.findall(rf"(\d+) (?:earlier |later )?{side} frames?\b", note) for note in video.notes)
     return sum(int(n) for numbers in counts for n in numbers)
 
 
@@ -86,9 +86,9 @@ def test_left_video_inside_the_right_one(view: View) -> None:
     assert indices(video) == [(0, 10), (1, 11), (2, 12)]
     start, end = video.notes
     assert "1.00 s later" in start
-    assert "10 right frames" in start
+    assert "10 earlier right frames" in start
     assert "0.70 s earlier" in end
-    assert "7 right frames" in end
+    assert "7 later right frames" in end
 
 
 def test_dropped_frames_do_not_shift_the_rest(view: View) -> None:

@@ -172,7 +172,7 @@ def test_repeated_and_backward_times_are_skipped(tmp_path: Path, film: Film, num
         (0.5, 7),
     ]
     (note,) = reader.notes
-    assert note.startswith(f"{retimed}: 2 frames")
+    assert note.startswith(f"{retimed}: skipped 2 frames")
 
 
 def retimed_copy(path: Path, copy: Path, stamps_ms: list[int]) -> Path:
@@ -341,7 +341,7 @@ def test_damage_in_the_middle(tmp_path: Path, film: Film, suffix: str) -> None:
     else:
         assert dict(frames).items() <= whole.items()  # the other frames keep their index and time
         (note,) = reader.notes
-        assert note.startswith(f"{path}: {40 - len(frames)} damaged frame")
+        assert note.startswith(f"{path}: skipped {40 - len(frames)} damaged frame")
 
 
 def test_reading_stops_at_an_invalid_packet(tmp_path: Path) -> None:

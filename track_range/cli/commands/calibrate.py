@@ -93,7 +93,7 @@ def _calibrate_on_road(settings: CalibrationSettings) -> None:
     if calibration.fit.contradiction != 1.0 and not settings.force:
         raise CalibrationError(
             f"expected measurements that agree, found a contradiction (see the warning), so {settings.out} was not "
-            "written; correct the boxes or metres, or write it with the larger sigmas by --force."
+            "written; correct the boxes or metres, or give --force to write it with larger sigmas."
         )
     print_line(console, f"Written: {', '.join(map(str, calibration.save(settings)))}.")
 

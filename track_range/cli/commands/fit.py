@@ -95,7 +95,7 @@ def _fit_detector_boxes(options: FitOptions) -> None:
     notes = [
         "Logarithms of box / label: negative = boxes are too small. ± is the deviation to expect in another drive; it "
         "is larger for labels drawn around visible parts (all except KITTI's).",
-        *(f"{counted(len(frames.unreadable), 'image')} skipped, the first: {one}" for one in frames.unreadable[:1]),
+        *(f"Skipped {counted(len(frames.unreadable), 'image')}; the first: {one}" for one in frames.unreadable[:1]),
     ]
     print_notes(console, notes)
     print_line(console, f"Written: {out}")

@@ -239,7 +239,7 @@ def read_boxes(path: Path) -> Truth:
 
 
 def objects_by_boxes(events: Sequence[Event], columns: Columns, boxes: Truth) -> list[int | None]:
-    """Identity of the object of each event, from the boxes of its track in the rows of the run; None = none."""
+    """Identity of the object of each event, from the boxes of its track in the rows of the run; None = no object."""
     xyxy_px = boxes_px(columns)
     order = np.argsort(boxes.frame, kind="stable")
     frames = boxes.frame[order]
@@ -262,7 +262,7 @@ def objects_by_boxes(events: Sequence[Event], columns: Columns, boxes: Truth) ->
 
 
 def objects_by_time(events: Sequence[Event], contacts: Sequence[Contact]) -> list[int | None]:
-    """Identity of the object of each event, from numbers, classes and times alone; None = none."""
+    """Identity of the object of each event, from numbers, classes and times alone; None = no object."""
     objects: list[int | None] = [None] * len(events)
     for contact in sorted(contacts, key=lambda contact: contact.contact_s):
         near = [i for i, event in enumerate(events) if objects[i] is None and _may_belong(event, contact, WINDOW_S)]

@@ -1,8 +1,8 @@
 """Scores of measured motion: closing speed, speed over ground, time to collision, warnings.
 
 An answer is a closing speed with a sigma below 1.5 m/s; coverage is the fraction of the labels with a known motion that
-have one. The errors of times to collision T are defined as in TSTTC (Shi et al., 2023), with measured times clipped to
-+-20 s, over objects that approach:
+have an answer. The errors of times to collision T are defined as in TSTTC (Shi et al., 2023), with measured times
+clipped to +-20 s, over objects that approach:
 
     RTE   mean |T - T*| / T*           MiD   10^4 mean |log s - log s*|,  s = T / (T + 0.1 s)       T*: true time
 

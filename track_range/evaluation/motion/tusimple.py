@@ -1,4 +1,4 @@
-"""Clips of TuSimple's velocity challenge: images at 20 Hz, whose last one has labelled vehicles (annotation.json).
+"""Clips of TuSimple's velocity challenge: images at 20 Hz, with labelled vehicles in the last image (annotation.json).
 
 A label has the drawn box, the nearest point and the velocity relative to the camera, (forward, right) in m and m/s. The
 clip is measured as a run with one camera does, from the boxes of a detector; a vehicle has the motion of the track in

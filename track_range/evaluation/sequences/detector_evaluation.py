@@ -26,6 +26,7 @@ from track_range.detection.formats.image_labels.image_truth import ImageTruth
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
 from track_range.evaluation.sequences.labelled_images import LabelledFrames, LabelledSource
 from track_range.foundation.arrays import FloatArray, Image
+from track_range.foundation.files.input_files import counted
 from track_range.foundation.progress import FrameProgress, no_frame_progress
 from track_range.run.options.opened import DetectorOptions, open_detector, thresholds
 
@@ -228,5 +229,5 @@ def _notes(candidates: Sequence[Candidate], scores: dict[str, DetectionScores], 
         classes = ", ".join(f"{ROAD_CLASSES[i]} ({n})" for i, n in few.items())
         notes.append(f"Classes with fewer than {MIN_BOXES} boxes are reported but excluded from the mean: {classes}.")
     if unreadable:
-        notes.append(f"{len(unreadable)} images skipped, the first: {unreadable[0]}")
+        notes.append(f"Skipped {counted(len(unreadable), 'image')}; the first: {unreadable[0]}")
     return notes

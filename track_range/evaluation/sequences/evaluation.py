@@ -132,7 +132,7 @@ def _no_classes_note(path: Path, road_class: str) -> tuple[str, ...]:
 
 
 def _other_classes_note(paths: Iterable[Path], road_class: str) -> tuple[str, ...]:
-    """A note on results that have only other classes than the evaluated one."""
+    """A note on results without the evaluated class."""
     names = [read_labels(path, expected="tracks").class_name for path in paths if not is_blank(path, "tracks")]
     if not (counts := names_with_counts(np.concatenate([np.zeros(0, np.str_), *names]))):
         return ()
@@ -157,7 +157,7 @@ def _boxes_of(table: BoxTable, road_class: str, path: Path, form: str = "") -> T
 
 
 def _class_of_labels(tables: Iterable[BoxTable], road_class: str | None) -> str:
-    """The class to evaluate: the given one, else the most frequent one."""
+    """The class to evaluate: the given class, else the most frequent class."""
     if road_class is not None:
         return ROAD_CLASSES[road_class_id(road_class)]
     class_id = np.concatenate([np.zeros(0, np.int64), *(table.class_id[table.class_id >= 0] for table in tables)])

@@ -116,7 +116,7 @@ def _read(path: Path, class_id: int, settings: TrackSettings, images: Path | Non
     if settings.reid is not None:  # its embeddings replace those of the file
         detections = Detections.of(detections.xyxy_px, detections.score, detections.class_id)
     if recorded.has_classes and settings.road_class is not None:
-        notes = (*notes, f"--classes {settings.road_class} ignored: the rows of {path.name} contain classes.")
+        notes = (*notes, f"--classes {settings.road_class} is ignored: the rows of {path.name} contain classes.")
     return replace(recorded, detections=detections, notes=notes)
 
 
@@ -186,7 +186,7 @@ def _write_kitti(frames: Sequence[Tracks], out: Path, name: str) -> tuple[str, .
     if not omitted:
         return ()
     n, names = int(np.isin(class_id, omitted).sum()), ", ".join(ROAD_CLASSES[i] for i in omitted)
-    return (f"{n} of {len(class_id)} boxes omitted from {file.as_posix()}: KITTI has no class for {names}.",)
+    return (f"{n} of {len(class_id)} boxes are omitted from {file.as_posix()}: KITTI has no class for {names}.",)
 
 
 _VIDEO_SUFFIXES = (".mp4", ".mkv", ".avi", ".mov", ".webm")  # suffixes of videos, in the order of preference
@@ -242,7 +242,7 @@ def track_sequence(
 ) -> TrackedSequence:
     """Run a new tracker on `n_frames` frames, with the images of a video or folder if `images` is given.
 
-    `fps` applies if there is no video that states one. The output is as in a live run (`is_online`), or refined with
+    `fps` applies if no video states a frame rate. The output is as in a live run (`is_online`), or refined with
     later frames (`tracking.offline_refinement`). `advance` is called after each frame. VideoError if the images cannot
     be read.
     """

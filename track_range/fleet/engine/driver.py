@@ -289,7 +289,7 @@ class Driver:
         return state is not None and state.node == self._node
 
     def _verdict(self, state: WorkerState, elapsed_s: float) -> tuple[ErrorKind, str] | None:
-        """Kind and sentence of the limit that a worker exceeds; None = none."""
+        """Kind and sentence of the limit that a worker exceeds; None if it exceeds no limit."""
         if state.memory_bytes > self._memory_bytes:
             return "memory", (
                 f"the worker took {state.memory_bytes / 1e9:.1f} GB, more than --worker-memory "

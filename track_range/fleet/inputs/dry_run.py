@@ -138,7 +138,7 @@ class _Check:
             )
 
     def _calibration(self, headers: Sequence[_Header], rig: Location | None) -> str:
-        """Kind of the calibration; an unusable calibration is a problem, a missing one is noted."""
+        """Kind of the calibration; an unusable calibration is a problem, a missing calibration is noted."""
         if "rig" not in self.clip.settings:
             if "focal_px" in self.clip.settings or self.focal_px is not None:
                 return "focal length"

@@ -109,7 +109,7 @@ def publish(out: Location, location: Location, content: Path | bytes) -> None:
 
 
 def remove_unfinished(out: Location) -> None:
-    """Remove what workers that were killed have left, as far as possible."""
+    """Remove what killed workers have left, as far as possible."""
     if out.is_local:
         shutil.rmtree(out.path / UNFINISHED, ignore_errors=True)
 

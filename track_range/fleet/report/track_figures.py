@@ -72,7 +72,7 @@ def _ranked(approaches: Iterable[Figures], key: str) -> list[Figures]:
 
 
 def needed_columns(names: Sequence[str]) -> list[str]:
-    """The columns of a tracks.parquet that the figures need; raises ValueError if a required one is missing."""
+    """The columns of a tracks.parquet that the figures need; raises ValueError if a required column is missing."""
     if missing := [name for name in _NEEDED if name not in names]:
         raise ValueError(f"no column {missing[0]}")
     distances = [name for method in _methods(names) for name in (f"{method}_m", f"{method}_sigma_m")]

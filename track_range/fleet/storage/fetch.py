@@ -38,7 +38,7 @@ class FetchedFile:
 
 @contextmanager
 def fetched(clip: Clip, cache_folder: Path, limit_bytes: int) -> Iterator[tuple[Clip, Mapping[str, FetchedFile]]]:
-    """A clip with local paths, and its files by role; remote ones are downloaded, and removed at the end.
+    """A clip with local paths, and its files by role; remote files are downloaded, and removed at the end.
 
     Several processes may share the folder of the downloads, which is created. Raises FleetInputError: the clip has a
     problem that was found when it was listed; StorageError: a file is missing, cannot be read, or the downloads are

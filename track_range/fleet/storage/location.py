@@ -68,7 +68,7 @@ def is_hidden(name: str) -> bool:
 
 
 def folder_state(entries: Iterable[Entry]) -> FileStat:
-    """Total size and latest time of change of the files in a listing, hidden ones excluded."""
+    """Total size and latest time of change of the files in a listing, without hidden files."""
     files = [entry.stat for entry in entries if not (entry.stat.is_folder or is_hidden(entry.name))]
     size = sum(max(file.size, 0) for file in files)
     return FileStat(size, max((file.mtime_ns for file in files), default=0), is_folder=True)

@@ -161,7 +161,7 @@ def _is_complete_png(png: bytes) -> bool:
 
 
 def _n_scans(jpeg: bytes) -> int:
-    """Number of scans of a JPEG file, counted up to the first one above the limit."""
+    """Number of scans of a JPEG file, counted up to the first scan above the limit."""
     at = n_scans = 0
     for _ in range(_MAX_HEADER_FIELDS):
         segment = _JPEG_MARKER.search(jpeg, max(at, len(_JPEG_START)))

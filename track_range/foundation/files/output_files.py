@@ -45,7 +45,7 @@ def make_folder(folder: Path) -> None:
         probe.unlink()
     except OSError as error:
         raise OutputError(
-            f"{folder}: results cannot be written to this folder ({describe(error)}); choose another one."
+            f"{folder}: results cannot be written to this folder ({describe(error)}); choose another folder."
         ) from error
 
 

@@ -42,7 +42,7 @@ def _is_depth(topic: str) -> bool:
 class BagVideo(RecordedVideo):
     """Images of one topic, in the order of their time stamps, which are seconds since 1970.
 
-    `camera` is the calibration in a topic beside it, None = none; `is_rectified` follows from the topic's name. Raises
+    `camera` is the calibration in a topic beside it, if any; `is_rectified` follows from the topic's name. Raises
     VideoError if the bag has no such topic or no image can be read, and, while iterating, if an image differs in size.
     """
 
@@ -94,12 +94,12 @@ class BagVideo(RecordedVideo):
     def notes(self) -> tuple[str, ...]:
         """See `RecordedVideo`."""
         skipped = (
-            (self._bag.n_damaged, "damaged part", "of the file "),
+            (self._bag.n_damaged, "damaged part", " of the file"),
             (self._n_damaged, "damaged image", ""),
-            (self._n_backward, "image", "with a repeated or backward time "),
+            (self._n_backward, "image", " with a repeated or backward time"),
         )
         end = [f"{self._bag.end_problem}; all earlier images were used."] if self._bag.end_problem else []
-        notes = end + [f"{counted(n, noun)} {clause}skipped." for n, noun, clause in skipped if n]
+        notes = end + [f"skipped {counted(n, noun)}{clause}." for n, noun, clause in skipped if n]
         return (*self._setup_notes, *(f"{self.path}: {note}" for note in notes))
 
     def frames(self, from_s: float, until_s: float) -> Generator[VideoFrame, None, None]:

@@ -344,7 +344,7 @@ def _without_file(
 
 
 def _sizes_of(camera: PinholeCamera, sizes_px: Sizes, aspect: float) -> Sizes:
-    """Sizes of the images as a calibration has them: with square pixels if these fit it better than the stored ones."""
+    """Sizes of the images as a calibration has them: stored, or with square pixels if these fit it better."""
     candidates: list[Sizes] = [sizes_px, tuple(square_size(size_px, aspect) for size_px in sizes_px)]
     if not camera.width_px:
         return min(candidates, key=lambda sizes: abs((camera.cx_px + 0.5) / sizes[0][0] - 0.5))

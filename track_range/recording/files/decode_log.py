@@ -20,7 +20,7 @@ class DecodeLog:
     Attributes:
         n_used: frames passed on.
         n_damaged: frames skipped because they, or frames that they depend on, are damaged.
-        n_backward: frames skipped because their timestamp equals or precedes the last one.
+        n_backward: frames skipped because their timestamp equals or precedes the last timestamp.
         resets_s: times of the last frames before the clock of the file was set back.
         n_repeated: frames that exactly repeat the previous image, between images that differ.
     """
@@ -113,7 +113,7 @@ class DecodeLog:
                 "the frame rate: speeds are less accurate; use the camera's original video."
             )
         if self.n_damaged:
-            notes.append(f"{counted(self.n_damaged, 'damaged frame')} skipped.")
+            notes.append(f"skipped {counted(self.n_damaged, 'damaged frame')}.")
         if self.n_backward:
-            notes.append(f"{counted(self.n_backward, 'frame')} with a repeated or backward timestamp skipped.")
+            notes.append(f"skipped {counted(self.n_backward, 'frame')} with a repeated or backward timestamp.")
         return notes

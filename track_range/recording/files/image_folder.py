@@ -76,9 +76,9 @@ class ImageFolder(RecordedVideo):
         """See `RecordedVideo`."""
         notes, n_unreadable = list(self._folder_notes), len(self._unreadable)
         if n_unreadable:
-            notes.append(f"{self.path}: {counted(n_unreadable, 'unreadable image')} skipped: {self._unreadable[0]}")
+            notes.append(f"{self.path}: skipped {counted(n_unreadable, 'unreadable image')}: {self._unreadable[0]}")
         if self._n_backward:
-            skipped = f"{counted(self._n_backward, 'image')} with a repeated or backward timestamp skipped."
+            skipped = f"skipped {counted(self._n_backward, 'image')} with a repeated or backward timestamp."
             notes.append(f"{self.path}: {skipped}")
         return tuple(notes)
 

@@ -83,7 +83,7 @@ class VideoFile(RecordedVideo):
     path: Path
 
     def __init__(self, path: Path, track: int | None = None) -> None:
-        """Open a file, and its video track `track`, counted from 0; None = the largest one."""
+        """Open a file, and its video track `track`, counted from 0; None = the largest track."""
         self.path, self._track = path, track
         self._state = FileState.of(path)
         self._reading: _Reading | None = _Reading(path, self._state, track)
@@ -402,7 +402,7 @@ _STEREO_3D: dict[tuple[int, int], StereoLayout] = {  # by the type and the flag 
 
 
 def _stated_layout(frame: av.VideoFrame) -> StereoLayout | None:
-    """The layout of a stereo image that a file states; None = none."""
+    """The layout of a stereo image that a file states; None if it states none."""
     try:
         side = cast(SideDataContainer, frame.side_data)[SideDataType.STEREO3D]
     except KeyError:

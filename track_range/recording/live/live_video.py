@@ -50,7 +50,7 @@ class StreamClock:
         self._last_s = float("-inf")
 
     def time_s(self, stamp_s: float | None, arrived_s: float) -> float | None:
-        """The time of a frame with a timestamp, None = none, and arrival; None = not later than the previous one."""
+        """The time of a frame with a timestamp, if any, and an arrival; None if it is not after the previous frame."""
         if stamp_s is None:
             time_s = arrived_s
         else:
@@ -170,7 +170,7 @@ class LiveVideo:
             return [(index, time_s) for index, time_s, _ in self._waiting]
 
     def take(self, index: int) -> VideoFrame | None:
-        """The frame with this index; earlier ones are dropped. None = dropped; raises VideoError for another size."""
+        """The frame with this index; earlier frames are dropped. None = dropped; raises VideoError for another size."""
         began_s = time.thread_time()
         with self._lock:
             while self._waiting and self._waiting[0][0] < index:
@@ -208,7 +208,7 @@ class LiveVideo:
             self.close()
 
     def newest(self) -> Generator[VideoFrame, None, None]:
-        """The frames, from the newest one on; the connection stays open."""
+        """The frames, from the newest frame on; the connection stays open."""
         self.begin()
         arrival = threading.Event()
         self.notify(arrival)

@@ -122,7 +122,7 @@ def find_alignment(
     *,
     prior: Alignment = NOT_MEASURED,
 ) -> PairAlignment:
-    """The alignment of a calibrated pair: a given one, or "auto" = estimated from the drive's first frames.
+    """The alignment of a calibrated pair: a given alignment, or "auto" = estimated from the drive's first frames.
 
     As many of the rectified `frames` of the first `ESTIMATION_SPAN_S`, corrected by `prior`, are read as the estimation
     needs. A RigError means that a file cannot be used; errors of `frames` are passed on.

@@ -31,7 +31,7 @@ _MAX_ROW_OFFSET_PX = 1.5  # vertical offset above which the user is warned if it
 
 
 class PairMonitor:
-    """Checks the first pairs, which are rectified to `rig`, and explains what does not fit.
+    """Checks the first pairs, which are rectified to `rig`, and explains contradictions.
 
     Pairs at rest do not show errors that all disparities have in common: the first pairs in motion are checked again.
     """
@@ -105,7 +105,7 @@ class PairMonitor:
 
     @property
     def row_offset_px(self) -> float | None:
-        """The vertical offset that makes rows of an uncalibrated pair equal; None = there is none."""
+        """The vertical offset that makes rows of an uncalibrated pair equal; None if there is no such offset."""
         if self.finding is None or self.finding.fault not in ("fits", "verged", "unsteady"):
             return None
         is_shift = replace(self.view, row_offset_px=0.0).rows_px(self._rig.left) <= _MAX_ROW_OFFSET_PX

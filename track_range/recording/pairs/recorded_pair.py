@@ -146,20 +146,20 @@ class RecordedPair(VideoPair[RecordedVideo]):
         """Messages about the unpaired frames of one side before, after and between the pairs."""
         n_between, notes, noun = side.n_between, [], f"{side.name} frame"
         ends = (
-            ("starts", "later", "before", side.n_before, other.first_s - side.first_s),
-            ("ends", "earlier", "after", side.n_after, side.end_s - other.end_s),
+            ("starts", "later", "earlier", side.n_before, other.first_s - side.first_s),
+            ("ends", "earlier", "later", side.n_after, side.end_s - other.end_s),
         )
-        for verb, adverb, preposition, n_skipped, by_s in ends:
+        for verb, adverb, opposite, n_skipped, by_s in ends:
             if n_skipped and by_s > self.tolerance_s:
                 notes.append(
                     f"The {other.name} video {verb} {by_s:.2f} s {adverb} than the {side.name} one: "
-                    f"{counted(n_skipped, noun)} {preposition} this were skipped."
+                    f"skipped {counted(n_skipped, f'{opposite} {noun}')}."
                 )
             else:
                 n_between += n_skipped
         if n_between:
             notes.append(
-                f"{counted(n_between, noun)} without a {other.name} frame within {1000 * self.tolerance_s:.1f} ms were "
-                "skipped."
+                f"Skipped {counted(n_between, noun)} without a {other.name} frame within "
+                f"{1000 * self.tolerance_s:.1f} ms."
             )
         return notes

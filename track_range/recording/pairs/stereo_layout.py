@@ -119,7 +119,7 @@ def has_second_view(path: Path) -> bool:
 
 
 def stereo_tracks(video: RecordedVideo | LiveVideo) -> tuple[int, ...]:
-    """Numbers of the video tracks of a file that are as large as the largest one."""
+    """Numbers of the video tracks of a file that are as large as the largest track."""
     largest = max(video.tracks_px, key=math.prod, default=None)
     return tuple(number for number, size_px in enumerate(video.tracks_px) if size_px == largest)
 

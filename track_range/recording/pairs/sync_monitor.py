@@ -319,12 +319,12 @@ def _sentence(group: list[SyncFinding]) -> str:
     off = "stereo distances of these frames are off"
     if first.kind == "repeated":
         return (
-            f"The {first.side} video repeats its last image while the other one moves ({when}): {off}; check the "
+            f"The {first.side} video repeats its last image while the other video moves ({when}): {off}; check the "
             f"{first.side} camera and its recording."
         )
     if first.kind == "uniform":
         return (
-            f"The {first.side} images are black or uniform, while the other ones are not ({when}): {off}; check the "
+            f"The {first.side} images are black or uniform, while the other images are not ({when}): {off}; check the "
             f"lens, the exposure and the cable of the {first.side} camera."
         )
     if first.kind == "apart":

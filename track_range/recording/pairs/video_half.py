@@ -27,7 +27,7 @@ def half_size_px(layout: PackedLayout, size_px: tuple[int, int]) -> tuple[int, i
 
 
 class VideoHalf(RecordedVideo):
-    """The images of one camera in `whole`; the left one reports for both, as they are read together."""
+    """The images of one camera in `whole`; the left camera's object reports for both, as they are read together."""
 
     path: Half
 

@@ -22,10 +22,10 @@ Pair = tuple[VideoFrame, VideoFrame]
 
 
 class VideoPair(ABC, Generic[V]):
-    """Pairs of frames of two videos; the first ones may be read before the iteration, and are not decoded twice.
+    """Pairs of frames of two videos; the first pairs may be read before the iteration, and are not decoded twice.
 
     The buffer always holds one pair. If more than `max_ahead_bytes` are needed, it is dropped and reading restarts:
-    recorded videos from their start, live ones with the next pair. Times differ by at most `tolerance_s`.
+    recorded videos from their start, live videos with the next pair. Times differ by at most `tolerance_s`.
     """
 
     is_live: bool = False
@@ -46,7 +46,7 @@ class VideoPair(ABC, Generic[V]):
 
     @abstractmethod
     def pairs(self) -> Generator[Pair, None, None]:
-        """The pairs, read from the start of recorded videos, or from the newest frames of live ones."""
+        """The pairs, read from the start of recorded videos, or from the newest frames of live videos."""
 
     def read_ahead(self) -> Generator[Pair, None, None]:
         """The first pairs, until the caller stops, before the iteration; a later call starts with them again."""

@@ -99,7 +99,7 @@ def arranged(
 
 
 def paired_starts_s(plan: SegmentPlan, left: SegmentPlan) -> tuple[float, ...]:
-    """Start times of the right files of a pair on the time axis of the left ones.
+    """Start times of the right files of a pair on the time axis of the left files.
 
     Files of a pair that start within 2 s are assumed to start together, since their dates have a resolution of 1 s.
     Raises VideoError if the files have no dates, and one side lacks files of the other side.

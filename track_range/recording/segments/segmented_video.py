@@ -167,14 +167,14 @@ class SegmentedVideo(RecordedVideo):
         if copies:
             path, other = copies[0]
             self._setup_notes.append(
-                f"{self.path}: {counted(len(copies), 'copy', 'copies')} of other files skipped, such as {path.name}, "
+                f"{self.path}: skipped {counted(len(copies), 'copy', 'copies')} of other files, such as {path.name}, "
                 f"which has the same content as {other.name}."
             )
         if not headers:
             raise errors[0] if errors else VideoError(f"{self.path}: expected video files, found none.")
         self._setup_notes += [f"Skipped: {error}" for error in errors[:_N_NOTES]]
         if len(errors) > _N_NOTES:
-            self._setup_notes.append(f"{self.path}: {counted(len(errors), 'file')} skipped that cannot be read.")
+            self._setup_notes.append(f"{self.path}: skipped {counted(len(errors), 'file')} that cannot be read.")
         sizes = Counter(tuple(sorted(header.size_px)) for header in headers.values())  # one may be rotated
         usual = max(sizes, key=lambda size: sizes[size])
         first = {tuple(sorted(header.size_px)): path for path, header in reversed(headers.items())}
@@ -185,7 +185,7 @@ class SegmentedVideo(RecordedVideo):
         return headers
 
     def _first_file(self) -> VideoFile:
-        """The first file that can be decoded; earlier ones are left out."""
+        """The first file that can be decoded; earlier files are left out."""
         while True:
             try:
                 return VideoFile(self._segments[0].path, self._track)
@@ -279,7 +279,7 @@ def _videos_in(name: Path) -> list[Path] | None:
 def _repeated_s(before: SegmentFacts, after: SegmentFacts) -> float:
     """Time, s, from the start of `after` to the end of `before`, if its first frames are the last frames of `before`.
 
-    Dashcams with an overlap write the last second of a file also to the beginning of the next one, without encoding it
+    Dashcams with an overlap write the last second of a file also to the beginning of the next file, without encoding it
     again. 0 = no compressed frame is in both, or a file cannot be read.
     """
     try:

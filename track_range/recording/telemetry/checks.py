@@ -140,9 +140,9 @@ def _check_positions(track: TelemetryTrack) -> None:
 def with_unit(track: TelemetryTrack) -> TelemetryTrack:
     """The track with its speeds in the unit that its positions show, which sometimes differs from the stated unit.
 
-    Speeds become less certain if they differ by less than units do. Without a stated unit, and with too few positions
-    of a moving car, they are taken as m/s, with a note if any is fast. A TelemetryError means that the speeds
-    contradict the positions in every unit.
+    Speeds become less certain if their difference is smaller than between units. Without a stated unit, and with too
+    few positions of a moving car, they are taken as m/s, with a note if any is fast. A TelemetryError means that the
+    speeds contradict the positions in every unit.
     """
     if not track.has_own_speed:
         return track
@@ -189,7 +189,7 @@ def _without_wild_speeds(track: TelemetryTrack) -> TelemetryTrack:
     if is_wild.sum() > _MAX_FRACTION * known.sum():
         raise TelemetryError(
             f"expected speeds of at most {MAX_SPEED_MPS * 3.6:.0f} km/h, found "
-            f"{float(np.nanmax(np.abs(speed_mps))) * 3.6:.4g} km/h; the unit may be another one."
+            f"{float(np.nanmax(np.abs(speed_mps))) * 3.6:.4g} km/h; the unit may be wrong."
         )
     speed_mps = np.where(is_wild, np.nan, speed_mps)
     good = np.flatnonzero(np.isfinite(speed_mps))

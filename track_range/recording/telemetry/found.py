@@ -136,7 +136,7 @@ def _first_with_fix(file: BinaryIO, movie: Movie, path: Path) -> TelemetryTrack 
 
 
 def _beside(part: VideoPart) -> tuple[TelemetryTrack, Path] | None:
-    """The first usable file beside a video; the error of the first unusable one if there is none."""
+    """The first usable file beside a video; if there is none, the error of the first unusable file."""
     problem: TelemetryError | None = None
     for name in sidecar_names(part.path.name):
         path = part.path.parent / name
@@ -189,7 +189,7 @@ def _of_parts(parts: Sequence[VideoPart], read: Read) -> FoundTelemetry:
 
 
 def _joined(tracks: Sequence[TelemetryTrack]) -> TelemetryTrack:
-    """Tracks of successive files as one; where two overlap, the later one begins after the earlier one."""
+    """Tracks of successive files as one; where two overlap, the later track begins after the earlier one."""
     first = tracks[0]
     if len(tracks) == 1:
         return first

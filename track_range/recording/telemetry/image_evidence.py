@@ -119,7 +119,7 @@ def _key_interval_s(path: Path, from_s: float) -> float:
 def _pairs(
     path: Path, from_s: float, until_s: float, spacing_s: float, n_left: int
 ) -> Generator[tuple[float, Image], None, None]:
-    """Times and grey images of pairs, `spacing_s` or more apart: a key frame, and the first one `_STEP_S` later."""
+    """Times and grey images of pairs, `spacing_s` or more apart: a key frame, and the first frame `_STEP_S` later."""
     with av.open(str(path)) as container:
         stream = container.streams.video[0]
         decoder, base_s = stream.codec_context, float(stream.time_base or 1)

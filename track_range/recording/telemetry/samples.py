@@ -168,5 +168,5 @@ def signed(value: float, hemisphere: str) -> float:
 
 
 def unit_in(text: str) -> str | None:
-    """The unit of speed that a heading or a text names; None = none."""
+    """The unit of speed that a heading or a text names; None if it names none."""
     return next((unit for unit, notation in _UNITS if notation.search(text)), None)

@@ -205,7 +205,7 @@ def _automatic(parts: Sequence[VideoPart], motion: Callable[[], MotionSeries], n
 
 
 def _with_images(telemetry: FoundTelemetry, motion: MotionSeries) -> tuple[SpeedSource, str | None]:
-    """Ego speed with the time offset that the images show, and the contradiction that they show; None = none."""
+    """Ego speed with the time offset that the images show, and the contradiction that they show, if any."""
     track = telemetry.track
     if track is None:
         return SpeedSource(notes=telemetry.notes), None

@@ -4,7 +4,7 @@
     yaw(t)       = q course'(t + o) + n          the yaw rate is the rate of the course; q absorbs the focal length
 
 The typical depth changes along the road: z is a Gauss-Markov process with the standard deviation sigma_z and the time
-constant tau, so that slow changes of the expansion have little weight, and fast ones much. o is searched on a
+constant tau, so that slow changes of the expansion have little weight, and fast changes have much. o is searched on a
 grid, with the best k and q for each o. Both likelihoods are multiplied; the mean and standard deviation of the product
 are the result. The noise n of the yaw rate is estimated from its residual, with the time over which it is correlated.
 """

@@ -63,7 +63,7 @@ class InputOptions(Options):
     track: Annotated[
         int | None,
         _clip_option(
-            "With --mono, video track of a file with several tracks, counted from 0 (default: the largest one).",
+            "With --mono, video track of a file with several tracks, counted from 0 (default: the largest track).",
             metavar="N",
             ge=0,
             le=99,

@@ -69,7 +69,7 @@ def find_contacts(scene: Scene, seconds: float) -> tuple[EgoContact, ...]:
 
 
 def first_contact(scene: Scene, seconds: float) -> EgoContact | None:
-    """The first real contact in the first `seconds` of a scene; None = none."""
+    """The first real contact in the first `seconds` of a scene; None = no contact."""
     return _first_touch(scene, scene.ego_z_m, (0.0, seconds), is_real=True)
 
 

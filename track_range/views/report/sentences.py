@@ -47,7 +47,7 @@ def address(path: str) -> str:
 def headlines(
     columns: Columns, users: Sequence[Mapping[str, Any]], events: Sequence[Event] | None
 ) -> list[dict[str, Any]]:
-    """The three main results of a run: `figure`, `words`, and `time_s` of the moment in the video, None = none.
+    """The three main results of a run: `figure`, `words`, and `time_s` of the moment in the video, if any.
 
     `users` are `closest_approaches` of the rows; `events` None = unknown.
     """

@@ -95,7 +95,7 @@ def _calibrate_scores(options: CalibrateScoresOptions) -> None:
             f"{len(truth)} images. Classes with fewer than {score_fit.MIN_POSITIVES} matches share their coefficients.",
             f"ECE of boxes with a score of {MIN_SCORE} or more: mean difference between score and precision; chance: "
             f"ECE of perfectly calibrated scores. {validation}",
-            *(f"{counted(len(frames.unreadable), 'image')} skipped, the first: {one}" for one in frames.unreadable[:1]),
+            *(f"Skipped {counted(len(frames.unreadable), 'image')}; the first: {one}" for one in frames.unreadable[:1]),
         ],
     )
     print_line(console, f"Written: {options.out}")

@@ -88,7 +88,7 @@ def _extended(content: bytes, start: int) -> tuple[int, int]:
 
 
 def parse_message(payload: bytes) -> Sample | None:
-    """The sample in the payload of a user-data message; None = the message is another one."""
+    """The sample in the payload of a user-data message; None = it is another message."""
     content = payload.lstrip(b"\x42")
     fields = _fields(content[1:]) if len(content) < len(payload) and content[:1] == b"\x69" else None
     if fields is None:

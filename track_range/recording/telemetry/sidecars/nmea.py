@@ -95,7 +95,7 @@ def rmc_samples(contents: Iterable[bytes], source: str) -> list[Sample | None]:
 
 
 def fixes_in(texts: Iterable[str], source: str) -> list[Sample | None]:
-    """The first RMC sentence in each text, without time in the video; None = none. Needs pynmea2 (TelemetryError)."""
+    """The first RMC sentence in each text, without time in the video; None if it has none. Needs pynmea2."""
     matches = [_RMC.search(text) for text in texts]
     if not any(matches):
         return [None] * len(matches)

@@ -1,8 +1,8 @@
 """CSV files with speeds or positions, from loggers, extraction tools and apps.
 
-The columns are found by their names. Components of the velocity are combined. Among several speeds or units, the one
-that agrees with the positions in the file is used; without positions, a speed needs a unit in its heading (`speed_kmh`,
-`Speed (m/s)`, `speed [kn]`), and the car's own instruments come before its GPS receiver.
+The columns are found by their names. Components of the velocity are combined. Among several speeds or units, the file's
+positions decide; without positions, a speed needs a unit in its heading (`speed_kmh`, `Speed (m/s)`, `speed [kn]`), and
+the car's own instruments come before its GPS receiver.
 """
 
 from __future__ import annotations

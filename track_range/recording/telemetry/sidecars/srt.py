@@ -41,7 +41,7 @@ _MIN_FRACTION = 0.5  # of subtitles with a speed or position: a film's dialogue 
 
 
 def read_srt(path: Path) -> TelemetryTrack | None:
-    """Telemetry of subtitles, in the time of the video; None = none. Raises TelemetryError without a unit."""
+    """Telemetry of subtitles, in the time of the video; None if there is none. Raises TelemetryError without a unit."""
     cues = list(_cues(read_text(path, TelemetryError, "subtitles in SRT", max_bytes=MAX_SIDECAR_BYTES)))
     return _track([content for _, content in cues], [time_s for time_s, _ in cues], path)
 

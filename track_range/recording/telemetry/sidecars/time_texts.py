@@ -40,8 +40,8 @@ _N_TRIED = 50  # number of texts from which the notation is found
 def times_of_texts(texts: Sequence[str], path: Path) -> tuple[FloatArray, Clock]:
     """(N,) seconds since 1970, or since midnight where no text has a date, NaN = unreadable, and their clock.
 
-    The clock is UTC where most texts state a time zone. Raises TelemetryError, which names `path`, for dates of which
-    the order of day and month is not clear.
+    The clock is UTC where most texts state a time zone. Raises TelemetryError, which names `path`, for dates whose
+    order of day and month is not clear.
     """
     tried = [text for text in texts if text][:_N_TRIED]
     notation = max((None, *_FORMATS), key=lambda notation: sum(_moment(text, notation) is not None for text in tried))
