@@ -395,7 +395,7 @@ def test_small_video_beside_the_charts(page_of: Callable[..., Any], run: Path) -
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("width_px", [360, 1280])
+@pytest.mark.parametrize("width_px", [360, 800, 1280])
 def test_first_screen_contains_its_parts(page_of: Callable[..., Any], run: Path, width_px: int, scheme: Any) -> None:
     page = page_of(run / "report.html", viewport={"width": width_px, "height": 800}, color_scheme=scheme)
     wait_for_video(page)
@@ -408,12 +408,15 @@ def test_first_screen_contains_its_parts(page_of: Callable[..., Any], run: Path,
     else:
         assert boxes["timeline"]["y"] < 800
     assert page.evaluate("() => document.documentElement.scrollWidth") == width_px
+    if width_px > 700:
+        is_cut = "() => [...document.querySelectorAll('.wide')].some((box) => box.scrollWidth > box.clientWidth)"
+        assert not page.evaluate(is_cut)
 
 
 def test_unneeded_controls_are_hidden(page_of: Callable[..., Any], run: Path) -> None:
     page = page_of(run / "report.html")
     first_chart(page)
-    assert page.locator("#count").inner_text() == "2 of 2 tracks"
+    assert page.locator("#count").inner_text() == "2 of 2 shown (road users: 2)"
     assert not page.get_by_role("button", name="Show more").is_visible()
     assert not page.locator("#video-missing").is_visible()
 
@@ -502,12 +505,12 @@ def test_two_thousand_tracks_in_the_browser(page_of: Callable[..., Any], tmp_pat
     write_report(path, summary(files={}), rows(*([30] * 2000)))
     assert path.stat().st_size < 10_000_000
     page = page_of(path)
-    assert page.locator("#count").inner_text() == "20 of 2000 tracks"
+    assert page.locator("#count").inner_text() == "20 of 2000 shown (road users: 2000)"
     first_chart(page)
     assert 0 < page.locator("#track-list .chart svg svg").count() < 10
     page.get_by_label("Filter").fill("1999")
     assert page.locator("#track-list figcaption").first.inner_text().startswith("car 1999")
-    assert page.locator("#count").inner_text() == "1 of 1 tracks"
+    assert page.locator("#count").inner_text() == "1 of 1 shown (road users: 1)"
     page.get_by_label("Filter").fill("")
     page.get_by_role("button", name="Show more").click()
     assert page.locator("#track-list figure").count() == 40

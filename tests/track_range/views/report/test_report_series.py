@@ -59,6 +59,7 @@ def test_track_record() -> None:
             "id": 1,
             "name": "car",
             "colour": "#537eff",
+            "is_user": True,
             "n": 3,
             "from_s": 0.0,
             "to_s": 0.2,

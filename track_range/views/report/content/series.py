@@ -71,9 +71,9 @@ def thinned(n: int, limit: int) -> IntArray:
 def track_records(columns: Columns) -> Iterator[dict[str, Any]]:
     """Data of each track for the page, longest track first; series without values are omitted.
 
-    Keys: id, name (class), colour, n (frames), from_s, to_s; near_m, ttc_s, error_pct (None = unknown); t, and the
-    keys of `_SERIES`; observed ("1101": the third box was predicted; missing = all observed); m and s: distance and
-    sigma by method.
+    Keys: id, name (class), is_user (no light or sign), colour, n (frames), from_s, to_s; near_m, ttc_s, error_pct
+    (None = unknown); t, and the keys of `_SERIES`; observed ("1101": the third box was predicted; missing = all
+    observed); m and s: distance and sigma by method.
     """
     row_sets, methods = sorted(rows_by_track(columns), key=len, reverse=True), methods_measured(columns)
     names = [name for name, _, _ in _SERIES]
@@ -101,6 +101,7 @@ def _properties(track: Columns, extremes: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "id": track_id,
         "name": extremes["class"],
+        "is_user": extremes["class"] not in STATIC_CLASSES,
         "colour": "#{2:02x}{1:02x}{0:02x}".format(*track_colour(track_id)),
         "n": len(time_s),
         "from_s": round(float(time_s[0]), 3),

@@ -282,6 +282,8 @@ function showList(first = null) {
   }
   for (const track of listed) if (!charts.has(track)) charts.set(track, new TrackChart(track));
   byId("track-list").replaceChildren(...listed.map((track) => charts.get(track).figure));
-  byId("count").textContent = `${Math.min(n_listed, selected.length)} of ${selected.length} tracks`;
+  const n = selected.length, n_users = selected.filter((track) => track.is_user).length;
+  const others = n_users < n ? `, traffic lights and signs: ${n - n_users}` : "";
+  byId("count").textContent = `${Math.min(n_listed, n)} of ${n} shown (road users: ${n_users}${others})`;
   byId("more").hidden = n_listed >= selected.length;
 }
