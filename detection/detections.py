@@ -160,7 +160,7 @@ def _whole_numbers(name: str, values: npt.ArrayLike) -> IntArray:
     """(N,) numbers, if they are whole; networks give class numbers as floats."""
     numbers = np.asarray(values).reshape(-1)
     if numbers.dtype.kind not in "biuf":
-        raise ValueError(f"{name}: expected whole numbers, got {numbers[0]!r}; tr.class_id(NAME) has them")
+        raise ValueError(f"{name}: expected whole numbers, got {numbers[0]!r}; see tr.class_id(NAME)")
     whole = numbers.astype(np.int64)
     if len(wrong := numbers[whole != numbers]):
         raise ValueError(f"{name}: expected whole numbers, got {wrong[0]}")

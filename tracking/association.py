@@ -58,7 +58,7 @@ class Assignment:
             self.match_subset(cost[i[:, None], j], i, j, max_cost=max_cost)
 
     def match_subset(self, cost: FloatArray, tracks: IntArray, detections: IntArray, *, max_cost: float) -> None:
-        """Match the tracks (n,) and detections (m,) with these row numbers at minimum total `cost` (n, m)."""
+        """Match the tracks (n,) and detections (m,) with the given row numbers at minimum total `cost` (n, m)."""
         i, j = min_cost_matching(cost, max_cost=max_cost)
         self._add(tracks[i], detections[j])
 

@@ -287,7 +287,7 @@ class DeepSortTracker:
         self._noise_scale.update(innovation_before.take(settled, axis=0), table.innovation.take(rows[settled], axis=0))
 
     def _initiate_tracks(self, detections: Detections, rows: IntArray, time_s: float) -> None:
-        """Stage 4: start a tentative track for each unmatched high-confidence detection, in these rows (M,)."""
+        """Stage 4: start a tentative track for each unmatched high-confidence detection, in the rows (M,)."""
         if not len(rows):
             return
         table, unmatched = self._table, detections.select(rows)

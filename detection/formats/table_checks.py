@@ -108,7 +108,7 @@ def first_frame_note(path: Path, first: int, n_frames: int) -> tuple[str, ...]:
 
 
 def other_labels_note(table: BoxTable, path: Path) -> tuple[str, ...]:
-    """A note on boxes whose labels are not road classes, such as a renamed label, with these labels."""
+    """A note that names the labels of boxes that are not road classes, such as renamed labels."""
     is_other = (table.class_id < 0) & ~table.is_region & (table.class_name != "")
     if not is_other.any():
         return ()

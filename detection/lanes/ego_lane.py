@@ -141,7 +141,7 @@ class EgoLane:
         self._seen_s = [-np.inf, -np.inf]
 
     def update(self, markings: Markings, time_s: float, image_hw: tuple[int, int]) -> LaneLines:
-        """The lines of the ego lane in an image, (height, width) `image_hw`, with these markings."""
+        """The lines of the ego lane in an image, (height, width) `image_hw`, from its markings."""
         is_stale = time_s - self._time_s > _MAX_UNSEEN_S
         if self.state is not None and (is_stale or self.state.image_hw != image_hw):
             self.reset()

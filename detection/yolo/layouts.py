@@ -43,7 +43,7 @@ outputs (none if the shapes do not fit), and the readings' names for `--layout`.
 
 
 def readings_of(network: NetworkOutputs) -> tuple[YoloModel, ...]:
-    """The possible meanings of these outputs in the first layout that fits, the usual meaning first.
+    """The possible meanings of a network's outputs in the first layout that fits, the usual meaning first.
 
     ModelError: no layout fits, or the model's attributes do not fit.
     """
@@ -111,10 +111,10 @@ def _names(path: Path, n_classes: int | None, metadata: ModelMetadata) -> Attrib
     if explicit.value is None:
         if n_classes not in _DEFAULT_NAMES:
             raise ModelError(
-                f"{path}: {n_classes} classes without names; specify them with --names a,b,c or --names FILE."
+                f"{path}: the {n_classes} classes have no names; specify them with --names a,b,c or --names FILE."
             )
         list_name, names = _DEFAULT_NAMES[n_classes]
-        return Attribute(names, f"not in the model; {list_name} has as many names, {n_classes}")
+        return Attribute(names, f"not in the model; {list_name} has the same number, {n_classes}")
     if len(explicit.value) != n_classes:
         raise ModelError(
             f"{path}: expected {n_classes} class names, got {len(explicit.value)} ({explicit.source}); "

@@ -152,7 +152,7 @@ def _figures(error: FloatArray, in_sigmas: FloatArray) -> dict[str, Any]:
 
 
 def _statistics(error: FloatArray, names: tuple[str, str, str], *, scale: int = 1) -> dict[str, float | None]:
-    """Mean and median absolute error and median error by these names, multiplied by `scale`; None without errors."""
+    """Mean and median absolute error and median error by name, multiplied by `scale`; None without errors."""
     if not len(error):
         return dict.fromkeys(names)
     values = np.abs(error).mean(), np.median(np.abs(error)), np.median(error)

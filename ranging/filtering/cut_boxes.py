@@ -9,8 +9,8 @@ r"""CutBoxes: boxes cut by the left or right image border, on whose objects the 
 
 theta is the heading relative to the camera's axis: k = 1 for traffic along the road, 0 for a side across it. As long as
 the ray meets the near end instead of the side, z_f is d plus the length L, so that z_f = min(d + L, d / (1 - k q)).
-The filter predicts z_f, with the object's speed, instead of d. k is estimated with d and v, since it is constant while
-the heading is: its covariances with both are part of the state (`SideState`).
+The filter predicts z_f, with the object's speed, instead of d. k is estimated with d and v, since k is constant while
+the heading is constant: its covariances with both are part of the state (`SideState`).
 """
 
 from __future__ import annotations

@@ -9,8 +9,9 @@ logarithm because the noise is in the box size in px: in metres, too large dista
 and short distances too much weight. If the ego speed V is known, the target's own speed v + V is taken as constant,
 with dV the change of V over the step: d' = d + v dt - dV dt / 2, v' = v - dV. The error of V, with standard deviation
 sigma_V, decays over tau: dV has the variance 2 sigma_V^2 (1 - exp(-dt / tau)), which is added to the state with the
-variance of dV. It is 0 while V does not change, since its error does not change either. In turns, V is the speed with
-which static objects at the bearing b come nearer, V - w b d. A new track starts as a static target, v = -V.
+variance of dV. This variance is 0 while V does not change, since the error of V does not change either. In turns, V is
+the speed with which static objects at the bearing b come nearer, V - w b d. A new track starts as a static target, v =
+-V.
 
 A filter runs for each of several models of the motion, static or with another q, and the results are their mean
 (`motion_models`). The closing speed of a static object is V, whatever its size.
@@ -19,9 +20,9 @@ The sigma of a method has an independent part, new in every frame (box jitter, m
 constant over a track (the car is larger than average). Only the independent part averages out, so R is this part alone,
 scaled by lambda, which is estimated from the innovations of the method (`NoiseScale`). The systematic part is added to
 the filter's variance at the output, and changes with the distance: P_dd grows by kappa (k d)^2 |v| dt / d, where k is
-its relative standard deviation. It is common to distance and speed, so the time to collision d / -v does not contain
-it. When the condition of a measurement changes (a method joins or leaves the fusion, a nearer box begins or ceases to
-hide a side of the box), so does its systematic error: the variances of the old and the new error are added to the
+its relative standard deviation. The time to collision d / -v does not contain this part, which is common to distance
+and speed. When the condition of a measurement changes (a method joins or leaves the fusion, a nearer box begins or
+ceases to hide a side), so does its systematic error: the variances of the old and the new error are added to the
 variance of d, so that the step does not appear as speed. A measurement beyond 3 sigma is down-weighted (Huber); after
 three in a row the filter restarts.
 

@@ -186,7 +186,7 @@ class GroundPlane:
     def update_road(self, road: RoadView | None, *, bias_sigma: float | None = None) -> None:
         """Set the road in the next frame as image motion shows it, with lengths in metres; None = unknown.
 
-        `bias_sigma` is the standard deviation of the bias that all distances by size share; None = as before.
+        `bias_sigma` is the standard deviation of the bias that all distances by size share; None = no change.
         """
         self._road = road
         if bias_sigma is not None:
@@ -199,7 +199,7 @@ class GroundPlane:
         self._known_prior = None
 
     def add_horizon(self, y_px: float, sigma_px: float) -> None:
-        """Add the row at which lane lines meet as a measurement of the horizon, which decays like a track's.
+        """Add the row at which lane lines meet as a measurement of the horizon; it decays like measurements of tracks.
 
         It is ignored where it contradicts image motion: the detected lines are then not lines of a lane.
         """

@@ -38,9 +38,8 @@ _QUANTILES = np.array([0.02275, 0.158655, 0.841345, 0.97725])  # one and two sta
 _MEDIAN = np.array([0.5])  # under p(log d) / d, which has the smallest expected relative error
 
 _CALIBRATION, _ONE_BODY_CALIBRATION = 0.92, 0.85
-"""Factors of sigma for classes with several body types and with a single type: on average, the larger of the two widths
-is too wide. Cross-validated on KITTI, so that 60-76 % of distances are within one sigma, and at least 93 % within
-two."""
+"""Factors of sigma for classes with several body types and with a single type, since the width of the posterior is too
+large on average. Cross-validated on KITTI: 60-76 % of distances are within one sigma, and at least 93 % within two."""
 
 _USUAL_CHI2 = 6.0  # of 95 % of boxes, from the usual sizes and yaws of their class; larger ones scale the variance
 _MIN_SYSTEMATIC = 1e-4  # smallest systematic fraction of the variance: the size of an object is never known exactly

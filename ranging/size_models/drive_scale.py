@@ -9,8 +9,8 @@ information, in which errors are correlated over `_CORRELATED_S`. The estimate i
 (ridge regression) with Cauchy weights, since vans are detected as cars and contact points are hidden.
 
 Distances by size are multiplied by exp(a + c_k). Their sigma contains the variance of the bias instead of its prior
-variance. It shrinks with evidence, first from other classes, then from the class. A reference that is not used
-elsewhere (`ScaleEvidence.corrects_tracks`) also corrects its own track, by the posterior mean of a + c_k + e_i.
+variance. This variance shrinks with evidence, first from other classes, then from the class. A reference that is not
+used elsewhere (`ScaleEvidence.corrects_tracks`) also corrects its own track, by the posterior mean of a + c_k + e_i.
 
 A scale is a value: the evidence of frame t gives the scale of frame t + 1 (`DriveScale.after`).
 """
@@ -70,7 +70,7 @@ class _Tracks(NamedTuple):
 
 
 class _Corrections(NamedTuple):
-    """References that correct their own tracks, (K,) each: information, weighted log ratio, time of the last one."""
+    """References that correct their own tracks, (K,) each: information, weighted log ratio, latest time."""
 
     track_id: IntArray
     information: FloatArray

@@ -318,7 +318,7 @@ class CollisionWarning:
         offset: ConstantVelocity,
         half_width_m: FloatArray,
     ) -> Encounter:
-        """Motion of the objects in these rows relative to the ego vehicle and its path."""
+        """Motion of the objects in the given rows relative to the ego vehicle and its path."""
         settings, ego = self.settings, self._ego
         gap, offset = (ConstantVelocity(*np.array(state.columns).take(rows, axis=1)) for state in (gap, offset))
         u, u_change, change_variance = gap.v + ego.speed_mps, own.v[rows], own.P_vv[rows]

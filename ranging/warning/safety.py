@@ -76,7 +76,7 @@ class SafetyMeasures:
     is_lead: BoolArray
 
     def select(self, rows: slice) -> SafetyMeasures:
-        """The tracks in these rows."""
+        """The tracks in the given rows."""
         return SafetyMeasures(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 

@@ -40,6 +40,6 @@ class Warnings:
         return cls(nan, np.zeros(n, np.bool_), nan)
 
     def select(self, rows: slice) -> Warnings:
-        """The warnings in these rows."""
+        """The warnings in the given rows."""
         sigma_m = None if self.path_offset_sigma_m is None else self.path_offset_sigma_m[rows]
         return Warnings(self.probability[rows], self.active[rows], self.path_offset_m[rows], sigma_m)

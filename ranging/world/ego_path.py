@@ -45,7 +45,7 @@ class EgoPose:
         return x, y, heading
 
     def to_world(self, forward_m: FloatArray, right_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(N,) x and y in the frame `map` of points at these distances along and to the right of the optical axis."""
+        """(N,) x and y in the frame `map` of points at given distances along and to the right of the optical axis."""
         c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)
         return self.x_m + c * forward_m + s * right_m, self.y_m + s * forward_m - c * right_m
 

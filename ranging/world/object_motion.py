@@ -90,7 +90,7 @@ class ObjectMotion:
         return cls(*np.full((6, n), np.nan))
 
     def select(self, rows: slice) -> ObjectMotion:
-        """The tracks in these rows."""
+        """The tracks in the given rows."""
         return ObjectMotion(*(getattr(self, name)[rows] for name in ObjectMotion.__slots__))
 
 

@@ -113,7 +113,7 @@ class DriftMonitor:
         self.add_points(self._tracks.add(frame.left, whole_image(frame.right), frame.time_s))
 
     def add_points(self, frame: TrackedFrame) -> None:
-        """Use the points of the next frame of a measurement; it ends with the last frame, or if the vehicle stops."""
+        """Use the points of the next frame of a measurement, which ends with its last frame, or when the car stops."""
         if self._points and (
             frame.fraction_tracked < from_drive.MIN_TRACKED_FRACTION or frame.flow_px < from_drive.MIN_FLOW_PX
         ):

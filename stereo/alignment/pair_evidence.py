@@ -64,7 +64,7 @@ class _Pair(NamedTuple):
     number: IntArray  # (N,) features of the left image
 
     def n_in_band(self, half_width_px: float = _BAND_PX) -> int:
-        """Largest number of matches in a band of rows of this half width."""
+        """Largest number of matches in a band of rows of the given half width."""
         return int(_in_band(self.right_px[:, 1] - self.left_px[:, 1], half_width_px).sum())
 
 
@@ -341,7 +341,7 @@ def _pair(left: _Features, right: _Features, size_px: tuple[int, int], *, is_mir
 
 
 def _in_band(value: FloatArray, half_width: float) -> BoolArray:
-    """(N,) whether values are in the band of this half width that contains most values."""
+    """(N,) whether values are in the band of the given half width that contains most values."""
     if not len(value):
         return np.zeros(0, np.bool_)
     ordered = np.sort(value)

@@ -39,7 +39,7 @@ class BoardView:
     edge_px: float  # width of the edges between black and white: about 2 in sharp images, more than 5 in blurred ones
 
     def of_corners(self, corner_id: IntArray) -> BoardView:
-        """The view restricted to the corners with these ids (K,)."""
+        """The view restricted to the corners with the given ids (K,)."""
         rows = np.isin(self.corner_id, corner_id)
         return replace(self, corner_id=self.corner_id[rows], xy_px=self.xy_px[rows], xyz_m=self.xyz_m[rows])
 
@@ -72,7 +72,7 @@ class BoardFinder:
         # corners on one line determine no pose
         spread = np.linalg.svd(xyz_m[:, :2] - xyz_m[:, :2].mean(axis=0), compute_uv=False)
         if len(corner_id) < _MIN_CHARUCO_CORNERS or spread[1] < 1e-6 * max(spread[0], 1e-12):
-            return RejectedView(name, f"only {len(corner_id)} corners of the board found")
+            return RejectedView(name, f"only {len(corner_id)} corners of the board were found")
         size_px = (image.shape[1], image.shape[0])
         return BoardView(name, size_px, corner_id, xy_px, xyz_m, _edge_px(image, xy_px))
 

@@ -84,9 +84,9 @@ Board = ChessBoard | CharucoBoard
 def board_of(text: str, square_mm: float | None) -> Board:
     """The board with a specification.
 
-    The docstring of this module describes it; `square_mm` is the side of a chessboard's squares, None for ChArUco
-    boards, since their specification contains it. Raises ValueError, with a message for the user, if the specification
-    is wrong, or the size of a square is missing or not plausible.
+    The docstring of this module describes specifications; `square_mm` is the side of a chessboard's squares, None for
+    ChArUco boards, since their specification contains it. Raises ValueError, with a message for the user, if the
+    specification is wrong, or the size of a square is missing or not plausible.
     """
     board = _charuco_of(text, square_mm) if text.lower().startswith("charuco") else _chess_of(text, square_mm)
     low, high = SQUARE_M
@@ -113,7 +113,7 @@ def dictionaries() -> tuple[str, ...]:
 
 
 def dictionary_of(name: str) -> cv2.aruco.Dictionary:
-    """OpenCV's dictionary with a name out of `dictionaries`."""
+    """OpenCV's dictionary with a name from `dictionaries`."""
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name}"))
 
 
@@ -158,7 +158,7 @@ def _charuco_of(text: str, square_mm: float | None) -> CharucoBoard:
     if n_markers > n_available:
         raise ValueError(
             f"'{text}': expected a dictionary of at least {n_markers} markers, {dictionary} has {n_available}; give "
-            "the one that the board was printed with, such as 4X4_1000."
+            "the dictionary that the board was printed with, such as 4X4_1000."
         )
     if not 0 < marker_mm < side_mm:
         raise ValueError(f"'{text}': expected markers smaller than squares, got {marker_mm:g} and {side_mm:g} mm.")

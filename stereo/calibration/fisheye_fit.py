@@ -262,7 +262,7 @@ class _NormalEquations(NamedTuple):
 def _normal_equations(
     residuals_of: Residuals, residuals: FloatArray, starts: IntArray, common: FloatArray, view_parameters: FloatArray
 ) -> _NormalEquations:
-    """The equations at a point with these residuals; `starts` (V,) is the first residual of each view."""
+    """The equations at a point with the given residuals; `starts` (V,) is the first residual of each view."""
     common_steps = np.diag(_STEP * np.maximum(np.abs(common), 1e-3))
     view_steps = np.diag(_STEP * np.maximum(np.abs(view_parameters).max(axis=0), 1e-3))
     by_common = [(residuals_of(common + step, view_parameters) - residuals) / step.sum() for step in common_steps]

@@ -96,7 +96,7 @@ class RigCalibration:
 
 
 def check_rig(rig: StereoRig, source: object) -> None:
-    """Raise RigError for implausible focal lengths, distortion, rotation or baseline; it begins with `source`."""
+    """Raise RigError, which begins with `source`, for implausible focal lengths, distortion, rotation or baseline."""
     check_camera(rig.left, f"{source}: left")
     check_camera(rig.right, f"{source}: right")
     if not np.abs(rig.right_from_left).max() <= _MAX_TRANSFORM:
@@ -160,7 +160,7 @@ def shared_view_notes(rig: StereoRig, source: object) -> tuple[str, ...]:
 
 
 def check_camera(camera: PinholeCamera, source: object) -> None:
-    """Raise RigError for an implausible size, focal length, principal point or distortion; it begins with `source`."""
+    """Raise RigError, which begins with `source`, for an implausible size, focal length, centre or distortion."""
     size_px = camera.size_px
     if size_px != (0, 0) and not all(1 <= side <= MAX_SIDE_PX for side in size_px):
         raise RigError(

@@ -438,7 +438,7 @@ _SEEN = (
     )),
     (r"imagelist|images", (
         "expected a calibration, but this file seems to list images for a calibration",
-        "track-range calibrate --stereo 'left*.jpg' 'right*.jpg' --board 9x6 --square-mm 24 calibrates with them",
+        "track-range calibrate --stereo 'left*.jpg' 'right*.jpg' --board 9x6 --square-mm 24 calibrates the cameras",
     )),
     (r"\br\b|\bt\b", (
         "expected the matrix M1 in this file or in an intrinsics file in its folder, but this file seems to contain "

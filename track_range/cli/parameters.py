@@ -70,7 +70,7 @@ def command(model: type[_O], function: Callable[[_O], object]) -> typer.Typer:
 def command_of(
     callback: Callable[..., None], listed: list[Parameter], command_class: type[HelpCommand] = HelpCommand
 ) -> typer.Typer:
-    """Application of one command, which calls `callback` with these parameters."""
+    """Application of one command, which calls `callback` with the given parameters."""
     callback.__signature__ = Signature(listed)  # type: ignore[attr-defined]
     callback.__annotations__ = {parameter.name: parameter.annotation for parameter in listed}
     app = typer.Typer(add_completion=False, rich_markup_mode=None)

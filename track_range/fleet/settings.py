@@ -76,7 +76,7 @@ class FleetSettings(Options):
     worker_memory: Annotated[
         str,
         _workers(
-            "Memory that is reserved for a worker and limits it; a clip that takes more is repeated once and then "
+            "Memory that is reserved for a worker, and its limit; a clip that takes more is repeated once and then "
             "fails.",
             metavar="SIZE",
         ),

@@ -106,7 +106,7 @@ class RecordedVideo(ABC):
 
     @abstractmethod
     def check_unchanged(self) -> None:
-        """Raise a VideoError if a file, while open, was replaced, cut or overwritten; it may have grown."""
+        """Raise a VideoError if a file, while open, was replaced, cut or overwritten; growth is no error."""
 
     def check_size(self, size_px: Sequence[int], like: str, advice: str, path: Path | None = None) -> None:
         """Raise a VideoError if an image, in the file `path` if there are several, has another width or height."""

@@ -50,7 +50,7 @@ class UtcStart:
 
     @property
     def is_stated(self) -> bool:
-        """Whether the user states it."""
+        """Whether the user has stated this time."""
         return self.source == _STATED
 
     def summary(self) -> dict[str, Any]:

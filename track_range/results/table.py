@@ -52,7 +52,7 @@ class RunTable:
         self.close()
 
     def append(self, result: FrameResult) -> None:
-        """Add the rows of one frame; OutputError if a batch cannot be written: the table is then as before."""
+        """Add the rows of one frame; OutputError if a batch cannot be written: the table is then unchanged."""
         if not len(result.tracks):
             return
         # copies, since the caller may change the arrays of the result

@@ -169,7 +169,7 @@ def _all_files(writer: ResultWriter) -> tuple[str, ...]:
 
 
 def create_writers(names: Sequence[str]) -> tuple[ResultWriter, ...]:
-    """New writers for a run, in this order; duplicate names are ignored.
+    """New writers for a run, in the given order; duplicate names are ignored.
 
     WriterError if a writer cannot be created, or two writers write the same file; ExtraError if a package that a writer
     requires is not installed.

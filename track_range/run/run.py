@@ -350,7 +350,7 @@ class Run:
             RuntimeError: the run is not finished.
         """
         if self._summary is None:
-            raise RuntimeError("expected a finished run: iterate it, close() it, or call write(), before its summary")
+            raise RuntimeError("expected a finished run: iterate it, close() it, or call write() before summary")
         return self._summary
 
     @property

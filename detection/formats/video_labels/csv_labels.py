@@ -3,7 +3,7 @@
     frame,id,class,x1,y1,x2,y2,distance_m[,visible_share,closing_mps]
 
 The first line has the names of the columns, in any order; other columns (time_s, lane, ...) are ignored. The
-simulation's truth.csv has this format; measurements of a lidar or radar can be converted to it.
+simulation's truth.csv has this format; measurements of a lidar or radar can be converted to this format.
 
     frame           frame number from 0, of the left video
     id              integer from 0, one per object

@@ -1,4 +1,4 @@
-"""Text files with rows of numbers: MOTChallenge's, and layouts that look like them.
+"""Text files with rows of numbers: MOTChallenge's, and similar layouts.
 
     in MOTChallenge's files   first frame 1, centre of the first pixel 1, 1            x = x1 + 1     w = x2 - x1
     track-range               first frame 0, centre of the first pixel 0, 0 (OpenCV)   x1 = x - 1     x2 = x1 + w

@@ -29,7 +29,7 @@ class LabelledSet(Protocol):
     def __len__(self) -> int: ...
 
     def load(self, index: int) -> LabelledPixels:
-        """Image and labels with this index."""
+        """Image and labels with an index."""
 
 
 class ValidationSet(Protocol):

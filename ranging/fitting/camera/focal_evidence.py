@@ -1,8 +1,8 @@
 r"""Focal length from the shapes of boxes, and from several guesses together, on a grid of its logarithm.
 
-One image of objects of known size does not give the focal length f: with f and all distances twice as large, it is the
-same, as long as the objects are flat. But a car beside the camera's path also shows its side. The part of its box that
-is the side is as wide as the car is long in units of its distance:
+One image of objects of known size does not give the focal length f: with f and all distances twice as large, the image
+is the same, as long as the objects are flat. But a car beside the camera's path also shows its side. The part of its
+box that is the side is as wide as the car is long in units of its distance:
 
       |  far end           u (Z + L) = f X           u: column of the inner side at its far end, from the image centre
      /   u                 w / h = (W + |u| L / f) / S

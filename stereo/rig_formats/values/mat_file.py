@@ -95,7 +95,7 @@ class MatFile:
         return name, numbers.reshape(shape[::-1]).T if numbers.size == math.prod(shape.tolist()) else numbers
 
     def _struct(self, elements: list[tuple[int, bytes]], depth: int) -> Any:
-        """The fields of a struct by name; a list of them for an array of several."""
+        """The fields of a struct by name; a list of such mappings for an array of structs."""
         length = max(struct.unpack(self._order + "i", elements[0][1][:4])[0], 1)
         names = [
             elements[1][1][i : i + length].split(b"\0")[0].decode("latin1")

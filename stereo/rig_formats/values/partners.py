@@ -26,7 +26,7 @@ def other_sides(name: str) -> Iterator[str]:
 
 
 def partner_of(path: Path) -> Path | None:
-    """The file of the other camera: its name, or its folder's name, is of the other side. None if there is none."""
+    """The file of the other camera, with the name or the folder's name of the other side; None if there is none."""
     beside = [path.with_name(name) for name in other_sides(path.name)]
     folders = [path.parent.parent / folder for folder in other_sides(path.parent.absolute().name)]
     inside = [folder / name for folder in folders for name in (path.name, *other_sides(path.name))]

@@ -75,7 +75,7 @@ def test_models_info_shows_attributes_and_sources(model, cli):
         assert words in printed
     status, _, complaint = cli("models", "info", model)
     assert status == 1
-    assert "2 classes without names" in complaint
+    assert "2 classes have no names" in complaint
 
 
 def test_models_info_shows_anchors(tmp_path, cli):

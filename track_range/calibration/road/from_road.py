@@ -295,6 +295,6 @@ def separability(
         )
     if abs(fit.correlation("camera height", "horizon")) > _INSEPARABLE:
         sentences.append(
-            "Camera height and pitch cannot be separated: add a distance of at least twice or at most half the length."
+            "Camera height and pitch cannot be separated: add a distance at least twice or at most half as long."
         )
     return tuple(sentences)

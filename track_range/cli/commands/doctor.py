@@ -189,7 +189,7 @@ def _default_detector() -> str:
 
 
 def _codecs(names: tuple[str, ...], mode: Literal["r", "w"]) -> str:
-    """FFmpeg's codecs of these names, each with "yes" or "no"; mode "w" = encoders."""
+    """FFmpeg's codecs of the given names, each with "yes" or "no"; mode "w" = encoders."""
     return ", ".join(f"{name} {'yes' if _has_codec(name, mode) else 'no'}" for name in names)
 
 

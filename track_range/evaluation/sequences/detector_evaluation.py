@@ -224,7 +224,7 @@ def _notes(candidates: Sequence[Candidate], scores: dict[str, DetectionScores], 
         few |= {i: row.n_boxes for i, row in by_class.items() if 0 < row.n_boxes < MIN_BOXES}
         unknown = [ROAD_CLASSES[i] for i, row in by_class.items() if row.n_boxes and not row.is_known]
         if unknown:
-            notes.append(f"{name} does not detect {', '.join(unknown)}; excluded from its averages.")
+            notes.append(f"{name} does not detect {', '.join(unknown)}, excluded from its averages.")
     if few:
         classes = ", ".join(f"{ROAD_CLASSES[i]} ({n})" for i, n in few.items())
         notes.append(f"Classes with fewer than {MIN_BOXES} boxes are reported but excluded from the mean: {classes}.")

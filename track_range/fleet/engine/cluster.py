@@ -107,7 +107,7 @@ def _existing_cluster(settings: FleetSettings) -> Iterator[int]:
 
 
 def _check_reachable(address: str) -> None:
-    """Raise FleetError unless a server of a cluster listens at HOST:PORT; Ray itself would wait for it for minutes."""
+    """Raise FleetError unless a server of a cluster listens at HOST:PORT; Ray itself would wait for minutes."""
     if address == "auto" or "://" in address:  # the latter is a Ray Client, which has its own time limit
         return
     host, _, port = address.rpartition(":")

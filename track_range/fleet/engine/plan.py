@@ -49,7 +49,7 @@ class FileNames:
         self._folders = sorted(folders, key=len, reverse=True) if is_anonymized else []
 
     def text(self, text: str) -> str:
-        """A message about the clip with these names."""
+        """A message about the clip, without the folders if names are anonymized."""
         if not self._is_anonymized:
             return text
         for folder in self._folders:
@@ -184,7 +184,7 @@ def fleet_plan(settings: FleetSettings, options: Mapping[str, Any]) -> FleetPlan
 
 
 def _validated(options: Mapping[str, Any]) -> RunSettings:
-    """Settings of a run with these options; the names of its videos do not matter. Raises UsageError."""
+    """Settings of a run with the given options; the names of its videos do not matter. Raises UsageError."""
     topics = options.get("topics") or ()
     n_topics = len(topics.split(",")) if isinstance(topics, str) else len(topics) if isinstance(topics, Sized) else 0
     is_pair = options.get("disparity") or options.get("overlay_disparity") or n_topics > 1

@@ -86,7 +86,7 @@ def matched_clips(tree: FileTree, pattern: FilePattern, location: Location) -> l
     candidates = [*(name for name in tree.files if not is_image_name(name)), *(recorded - {""})]
 
     def clip_of(values: Mapping[str, str], left: str, right: str | None, missing: str) -> Clip:
-        """The clip with these values of the placeholders; `missing`: the video that does not exist, "" = none."""
+        """The clip with the given values of the placeholders; `missing`: the video that does not exist, "" = none."""
         addresses = {role: tree.folder.child(name).address for role, name in (("left", left), ("right", right)) if name}
         problem = ""
         if missing:

@@ -290,7 +290,7 @@ class Location:
                 self._send(io.BytesIO(content))
 
     def upload(self, file: Path) -> None:
-        """Copy a local file here as `write_bytes` does."""
+        """Copy a local file to this location, as `write_bytes` does."""
         with storage_errors(self, "written"), open(file, "rb") as source:
             if self.is_local:
                 os.makedirs(os.path.dirname(self._key), exist_ok=True)

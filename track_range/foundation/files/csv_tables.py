@@ -42,14 +42,14 @@ class CsvTable:
         return self.error(f"{self.path}, line {self.lines[row]}: {message}")
 
     def require(self, names: Iterable[str]) -> None:
-        """Raise `error` unless there is exactly one column of each of these names."""
+        """Raise `error` unless there is exactly one column of each name."""
         missing = [name for name in names if name not in self.header]
         if missing:
             raise self.error(f"{self.path}: no column {', '.join(missing)}; expected {self.expected}.")
         self.refuse_duplicates(names)
 
     def refuse_duplicates(self, names: Iterable[str]) -> None:
-        """Raise `error` if two columns have one of these names."""
+        """Raise `error` if two columns have one of the names."""
         for name in names:
             if self.header.count(name) > 1:
                 raise self.error(f"{self.path}: expected one column {name}, got two; rename or remove one.")

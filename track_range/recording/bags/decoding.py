@@ -50,7 +50,7 @@ _VIDEO_CODECS = {"h264": "h264", "h265": "hevc"}
 
 
 def is_readable(topic: Topic) -> bool:
-    """Whether messages with this encoding can be read; JSON cannot."""
+    """Whether messages with this encoding can be read; JSON cannot be read."""
     return topic.encoding in ("cdr", "ros1", "protobuf")
 
 

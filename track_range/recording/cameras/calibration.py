@@ -104,7 +104,7 @@ class RecordingCalibration:
 
     @property
     def camera_height_m(self) -> float | None:
-        """Height of the camera above the road in its calibration, if that determines it; None = unknown."""
+        """Height of the camera above the road in its calibration, if the calibration has it; None = unknown."""
         mounting = self.mounting
         if mounting is None or mounting.camera_height_sigma_m > _MAX_HEIGHT_SIGMA * mounting.camera_height_m:
             return None

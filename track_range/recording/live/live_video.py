@@ -170,7 +170,7 @@ class LiveVideo:
             return [(index, time_s) for index, time_s, _ in self._waiting]
 
     def take(self, index: int) -> VideoFrame | None:
-        """The frame with this index; earlier frames are dropped. None = dropped; raises VideoError for another size."""
+        """The frame with the index; earlier frames are dropped. None = dropped; raises VideoError for another size."""
         began_s = time.thread_time()
         with self._lock:
             while self._waiting and self._waiting[0][0] < index:

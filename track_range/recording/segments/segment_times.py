@@ -218,7 +218,7 @@ def _header_starts(files: Sequence[SegmentFacts]) -> _Dated | None:
 
 
 def _dated(files: Sequence[SegmentFacts], stamps: Sequence[Stamp | None]) -> _Dated | None:
-    """The files with these dates, sorted by them; None = a date is missing, or two are equal."""
+    """The files with the given dates, sorted by date; None = a date is missing, or two are equal."""
     dated = [(file, stamp) for file, stamp in zip(files, stamps, strict=True) if stamp is not None]
     is_usable = len(dated) == len(files) == len({stamp.time_s for _, stamp in dated})
     return sorted(dated, key=lambda item: item[1].time_s) if is_usable else None

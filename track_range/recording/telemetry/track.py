@@ -60,7 +60,7 @@ class TelemetryTrack:
         return len(self.time_s)
 
     def selected(self, index: FloatArray | BoolArray) -> TelemetryTrack:
-        """The samples with these indices, in their order."""
+        """The samples with the given indices, in their order."""
         return replace(self, **{name: getattr(self, name)[index] for name in COLUMNS})
 
 

@@ -98,7 +98,7 @@ class EventFiles:
         self._rows.close()
 
     def add(self, events: Sequence[Event]) -> None:
-        """Add events that have ended to events.csv; if that fails, the file is as before."""
+        """Add events that have ended to events.csv; if that fails, the file does not change."""
         if not events:
             return
         try:

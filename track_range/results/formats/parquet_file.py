@@ -75,7 +75,7 @@ class ParquetWriter:
         self._file.discard_last()
 
     def close(self, summary: Mapping[str, Any] | None) -> None:
-        """Convert tracks.arrows to tracks.parquet, and remove it; if that fails, it remains."""
+        """Convert tracks.arrows to tracks.parquet, and remove tracks.arrows unless that fails."""
         self._file.close()
         with _stream(self._stream_path) as reader, atomic_path(self._path) as partial:
             _write_batches(partial, reader.schema, _complete_batches(reader))

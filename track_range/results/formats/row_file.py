@@ -32,7 +32,7 @@ class RowFile:
         self._previous_end = self._end
 
     def write(self, rows: str | bytes) -> None:
-        """Add whole lines of a frame, perhaps none; OSError if they cannot be written: the file is then as before."""
+        """Add whole lines of a frame, perhaps none; OSError if they cannot be written: the file is then unchanged."""
         content = memoryview(rows.encode("utf-8") if isinstance(rows, str) else rows)
         end = self._end + len(content)
         try:

@@ -119,7 +119,7 @@ def _check(settings: ExportSettings, run: RunFolder | None) -> None:
     if run is not None and (settings.video is not None or settings.first_frame):
         raise UsageError("--video and --first-frame: expected labels as input; a run has its video and frame numbers.")
     if settings.images and run is not None and run.settings.get("anonymize"):
-        raise UsageError("--images: this run was anonymized, but the images would show the frames without it.")
+        raise UsageError("--images: this run was anonymized, but these images would not be anonymized.")
     if settings.images and run is not None and run.summary.get("frames_dropped", run.settings.get("realtime")):
         raise UsageError("--images: expected a run of all frames, found one that dropped frames, which lack labels.")
     if settings.images and run is None and settings.video is None:

@@ -60,7 +60,7 @@ class Renderer:
 
     `bodies` are the faces of each road user of the scene. `rig` is a rectified pair, whose left camera is the scene's;
     `noise_grey` is the standard deviation of the sensor noise in grey levels, 0 = none; `wide_lens` is the lens of both
-    cameras whose pinholes are `rig`, None = the pinholes. It changes images only.
+    cameras whose pinholes are `rig`, None = the pinholes. The lens changes images only.
     """
 
     def __init__(

@@ -61,7 +61,7 @@ STRAIGHT = RoadShape()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wobble:
-    """Pitch and roll of the ego car on its springs, with these root mean squares: sums of sines with random phases."""
+    """Pitch and roll of the ego car on its springs, with given root mean squares: sums of sines with random phases."""
 
     pitch_rad: float = 0.0
     roll_rad: float = 0.0

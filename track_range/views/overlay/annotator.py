@@ -122,7 +122,7 @@ class Overlay:
                 self._text.write(canvas, lines, placement[1], stripe=colours[rows[i]])
 
     def _draw_corners(self, canvas: Image, result: FrameResult, size_px: int) -> FloatArray:
-        """Draw the texts of the corners that have room; (1 to 3, 4) rectangles of these and of the inset, in pixels."""
+        """Draw the texts of the corners that have room; (1 to 3, 4) rectangles of texts and inset, in pixels."""
         corners = labels.corner_lines(result, size_px, status=self._status(), warning=self._warning)
         (w, h), (legend_w, legend_h) = self._text.sizes_px(corners).tolist()
         height, width = canvas.shape[:2]

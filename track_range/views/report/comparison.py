@@ -86,7 +86,7 @@ class ComparedRun:
         return run_name({"inputs": {"left": inputs.get("left") or inputs.get("video") or inputs.get("mono")}})
 
     def section(self, name: str) -> Mapping[str, Any]:
-        """A section of the summary; empty without it."""
+        """A section of the summary; empty if it is missing."""
         return self.summary.get(name) or {}
 
 

@@ -47,7 +47,7 @@ def lane(
     """The traffic of the lane at `x_m`, all at one speed, so that there are no collisions.
 
     `spacing_m` is the mean distance between vehicles, and each position, from `from_m` to `until_m` at time 0, varies
-    by up to a fifth of it.
+    by up to a fifth of this distance.
     """
     positions_m = np.arange(from_m, until_m, spacing_m)
     positions_m = positions_m + 0.2 * spacing_m * rng.uniform(-1, 1, len(positions_m))
@@ -129,7 +129,7 @@ def scene_of(
     """The scene of a scenario, with an ego car that wobbles on its springs.
 
     The road users have no ids yet, and their sizes vary around the given ones. `surroundings` is a key of
-    `SURROUNDINGS`; `road` may be the lateral and vertical amplitude in m of a random road, which has 70 to 100 % of it.
+    `SURROUNDINGS`; `road` may be the lateral and vertical amplitude in m of a random road, with 70 to 100 % of both.
     """
     road = road if isinstance(road, RoadShape) else _random_road(rng, *road, 1.6 if surroundings == "highway" else 1.0)
     sized = []
