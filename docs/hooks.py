@@ -3,6 +3,7 @@
 - Equations in TeX become MathML, which needs neither a script nor a font.
 - One page per command is made from the settings models of the commands (`reference/cli/`).
 - Notebooks (`*.ipynb`) become pages with their stored outputs.
+- The first use of a term of the glossary in the text of a page is a link to its definition.
 - Every page is written as Markdown too, and `llms.txt` lists these files by relative links.
 - A page that would load anything from the network is an error.
 """
@@ -38,6 +39,21 @@ _EQUATION = re.compile(
 
 _REMOTE = re.compile(r"<(?:script|link|img|iframe|source|video)\b[^>]*(?:src|href)=\"?(?:https?:)?//[^\"> ]+")
 """A tag that loads something from another address."""
+
+GLOSSARY = "concepts/glossary.md"
+"""Page of the terms."""
+
+_TERM = re.compile(r"^(\S.*)\n:   (.+(?:\n    .*)*)", re.MULTILINE)
+"""A term of the glossary and its definition."""
+
+_ORDINARY = {"bias", "fused", "ground", "lane", "observed", "stereo", "truth"}
+"""Terms that are ordinary words, too: only linked where they are written as code."""
+
+_AMBIGUOUS = {"clip", "coverage"}
+"""Terms with another meaning on some pages: never linked."""
+
+_NO_TEXT = re.compile(r"(<(a|h\d|pre|code|figcaption|math)\b.*?</\2>|<[^>]*>)", re.DOTALL)
+"""Tags, and elements in which no term is linked."""
 
 _markdown: dict[str, tuple[str, str]] = {}
 """Title and text of each page by its path, for the copies in Markdown."""
@@ -158,9 +174,53 @@ def _api_text(reference: re.Match[str]) -> str:
     return f"## {name}\n\n```python\n{name}{signature}\n```\n\n{inspect.getdoc(value) if callable(value) else ''}\n\n"
 
 
-def on_page_content(page_html: str, **_: Any) -> str:
-    """The page with its equations in MathML."""
-    return _EQUATION.sub(_mathml, page_html)
+def on_page_content(page_html: str, *, page: Any, config: Any, **_: Any) -> str:
+    """The page with its equations in MathML and links to the glossary; terms of the glossary get anchors."""
+    page_html = _EQUATION.sub(_mathml, page_html)
+    if page.file.src_uri == GLOSSARY:
+        return re.sub(r"<dt>(.*?)</dt>", lambda term: f'<dt id="{_anchor(term[1])}">{term[1]}</dt>', page_html)
+    text = (Path(config["docs_dir"]) / GLOSSARY).read_text(encoding="utf-8")
+    folder = posixpath.dirname(page.file.dest_uri)
+    return link_terms(page_html, text, posixpath.relpath(GLOSSARY.replace(".md", ".html"), folder or "."))
+
+
+def link_terms(page_html: str, glossary: str, address: str) -> str:
+    """The page with a link to the definition at the first use of each term: as code, or as a word of the text."""
+    words, codes = {}, {}
+    for term, definition in _TERM.findall(glossary):
+        plain = term.strip("`").removesuffix(" (TTC)")
+        if plain in _AMBIGUOUS:
+            continue
+        tip = html.escape(re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", " ".join(definition.split())).replace("`", ""))
+        link = f'<a class="term" href="{address}#{_anchor(term)}" title="{tip}">', plain
+        codes[plain] = link
+        if plain not in _ORDINARY and re.fullmatch(r"[\w -]{3,}", plain):
+            words[plain] = link
+    pattern = re.compile(
+        rf"(?<![\w-])({'|'.join(sorted(map(re.escape, words), key=len, reverse=True))})s?(?![\w-]|\.\w)"
+    )
+    used: set[str] = set()
+
+    def linked(use: re.Match[str]) -> str:
+        start, term = words[use[1]]
+        if term in used:
+            return use[0]
+        used.add(term)
+        return f"{start}{use[0]}</a>"
+
+    parts = _NO_TEXT.split(page_html)
+    for i in range(0, len(parts), 3):  # text, element, name of the element
+        parts[i] = pattern.sub(linked, parts[i])
+        element = parts[i + 1] if i + 1 < len(parts) else ""
+        if (code := re.fullmatch(r"<code>([^<]+)</code>", element)) and code[1] in codes and code[1] not in used:
+            used.add(code[1])
+            parts[i + 1] = f"{codes[code[1]][0]}{element}</a>"
+    return "".join(part for i, part in enumerate(parts) if i % 3 < 2)
+
+
+def _anchor(term: str) -> str:
+    """Anchor of a term of the glossary, from its Markdown or HTML."""
+    return re.sub(r"\W+", "-", re.sub(r"<[^>]*>|\(.*\)", "", term)).strip("-").lower()
 
 
 def _mathml(equation: re.Match[str]) -> str:

@@ -69,3 +69,16 @@ def test_text_of_a_public_name(hooks):
     text = hooks.re.sub(r"::: (\S+)", hooks._api_text, "::: track_range.class_id")
     assert text.startswith("## class_id\n\n```python\nclass_id(")
     assert "ROAD_CLASSES" in text
+
+
+def test_first_uses_of_terms_are_links(hooks):
+    glossary = "sigma\n:   Standard deviation. [Methods](methods.md#sigma)\n\nlane\n:   Width of `x`,\n    the lane.\n"
+    page = '<h1>sigma</h1><p><a href="x"><code>lane</code> sigma</a> lane, sigmas and sigma, <code>lane</code></p>'
+    assert hooks.link_terms(page, glossary, "../g.html") == (
+        '<h1>sigma</h1><p><a href="x"><code>lane</code> sigma</a> lane, '
+        '<a class="term" href="../g.html#sigma" title="Standard deviation. Methods">sigmas</a> and sigma, '
+        '<a class="term" href="../g.html#lane" title="Width of x, the lane."><code>lane</code></a></p>'
+    )
+    assert hooks.link_terms("<p>sigma.txt, sigma-x, lane</p>", glossary, "") == "<p>sigma.txt, sigma-x, lane</p>"
+    assert hooks._anchor("`*_kf`") == hooks._anchor("<code>*_kf</code>") == "_kf"
+    assert hooks._anchor("time to collision (TTC)") == "time-to-collision"
