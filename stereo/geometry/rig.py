@@ -51,6 +51,7 @@ class StereoRig:
     right_from_left: FloatArray  # (4, 4) rigid transform, metres
     # correction of the disparities of a rectified pair, as `open_recording` estimates it; None = unknown
     alignment: AlignmentSource | None = None
+    accuracy: RigAccuracy | None = None  # of a calibration with a board, which every sigma contains; None = unknown
 
     def __post_init__(self) -> None:
         check_shape("right_from_left", self.right_from_left, (4, 4))

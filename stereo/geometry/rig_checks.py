@@ -62,7 +62,7 @@ class RigCalibration:
             return None
         if self.unit_doubt:
             raise RigError(self.unit_doubt)
-        rig = StereoRig(self.left, self.right, self.right_from_left)
+        rig = StereoRig(self.left, self.right, self.right_from_left, accuracy=self.accuracy)
         check_rig(rig, source)
         return rig
 

@@ -88,6 +88,7 @@ class _RigFile(BaseModel):
 def save_rig(rig: StereoRig, path: Path, *, comments: Sequence[str] = (), accuracy: RigAccuracy | None = None) -> None:
     """Write rig.yaml, with `comments` as its first lines; RigError for an implausible rig, or an unwritable file."""
     check_rig(rig, path)
+    accuracy = accuracy or rig.accuracy
     rotation, translation_m = rig.right_from_left[:3, :3].tolist(), rig.right_from_left[:3, 3].tolist()
     content = {
         "left": _camera_content(rig.left),

@@ -32,9 +32,6 @@ open_recording = KeywordsInErrors(RunSettings)(recording.open_recording)
 def load_rig(path: str | Path, *, size_px: tuple[int, int] | None = None, is_grey: bool = False) -> StereoRig:
     """Stereo rig of a calibration file: rig.yaml, or a format of cameras, scripts and data sets.
 
-    The standard deviations of a board calibration stay in the file: give runs and pipelines the path, so that sigmas
-    contain them.
-
     Example:
         >>> import track_range as tr
         >>> tr.load_rig("rig.yaml").baseline_m > 0

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
+from track_range.api.parts import load_rig
 from track_range.recording.frame import VideoError
 from track_range.recording.pairs import recorded_pair
 from track_range.recording.recording import open_recording
@@ -186,8 +187,15 @@ def test_sigmas_of_a_calibration_with_a_board(pair, tmp_path):
     camera = PinholeCamera.of_focal_length(300.0, (WIDTH_PX, HEIGHT_PX))
     accuracy = RigAccuracy(focal_sigma=0.01, scale_sigma=0.02)
     save_rig(StereoRig.rectified(camera, 0.5), tmp_path / "rig.yaml", accuracy=accuracy)
-    for videos, scale_sigma in ((pair[:1], 0.01), (pair[:2], 0.02)):
-        recording = open_recording(*videos, align="off")
+    rig = load_rig(tmp_path / "rig.yaml")
+    save_rig(rig, tmp_path / "again.yaml")
+    assert load_rig(tmp_path / "again.yaml").accuracy == rig.accuracy == accuracy
+    by_file = open_recording(*pair[:2], align="off").rig  # rectified
+    for videos, given, scale_sigma in (
+        *((pair[:1], given, 0.01) for given in (None, rig)),
+        *((pair[:2], given, 0.02) for given in (None, rig, by_file)),
+    ):
+        recording = open_recording(*videos, rig=given, align="off")
         calibration = recording.calibration
         assert (calibration.scale_sigma, calibration.focal_sigma) == (scale_sigma, 0.0)
         assert any("within 2 %" in note for note in recording.notes)

@@ -403,8 +403,10 @@ def _of_models(
     else:
         check_rig(given, source)
         fitted, notes = image_size.fitted_rig(given, (fitted_px[0], fitted_px[1]), source)
+    accuracy = given.accuracy if isinstance(given, StereoRig) else None
+    notes = notes if accuracy is None else (accuracy.sentence, *notes)
     loaded = _of_cameras(fitted, path, notes, sizes_px, view)
-    return replace(loaded, alternatives=image_size.size_alternatives(left, fitted_px[0]))
+    return replace(loaded, accuracy=accuracy, alternatives=image_size.size_alternatives(left, fitted_px[0]))
 
 
 def _of_cameras(
@@ -414,10 +416,10 @@ def _of_cameras(
     if isinstance(cameras, StereoRig):
         _check_view(cameras.left, view)
         left, right = cameras.left.resized(sizes_px[0]), cameras.right.resized(sizes_px[1])
-        cameras = StereoRig(left, right, cameras.right_from_left)
+        cameras = StereoRig(left, right, cameras.right_from_left, accuracy=cameras.accuracy)
         pair = Rectifier(cameras, fov_deg=view.fov_deg, source=path or "rig")
         rectifier: Rectifier | Undistorter = pair
-        rig, recorded, shown = pair.rig, cameras.left, pair.rig.left
+        rig, recorded, shown = replace(pair.rig, accuracy=cameras.accuracy), cameras.left, pair.rig.left
     else:
         _check_view(cameras, view)
         cameras = cameras.resized(sizes_px[0])
