@@ -73,6 +73,26 @@ def test_contradicting_distances_widen_all_sigmas():
     assert "60 m" in contradicting.largest_deviation[0] or "10 m" in contradicting.largest_deviation[0]
 
 
+@pytest.mark.parametrize(("factor", "is_contradiction"), [(1.0, False), (1.15, False), (1.45, True), (0.7, True)])
+def test_one_wrong_distance_among_five(factor, is_contradiction):
+    """Its residual of 4 to 6 sigmas is a contradiction, although the rms of all residuals is below 2."""
+    known = [
+        KnownObject(
+            name=f"{d:g} m",
+            xyxy_px=flat_box(d, focal_px=900.0, height_m=1.5, horizon_px=0.0),
+            size_class=CAR,
+            distance_m=d * (factor if d == 14.0 else 1.0),
+        )
+        for d in (6.0, 9.0, 14.0, 22.0, 35.0)
+    ]
+    fit = fit_camera(SIZE_PX, VAGUE, SIZES, objects=known)
+    largest = max(abs(residual.value / residual.sigma) for residual in fit.residuals)
+    assert (fit.contradiction > 2.0, largest > 3.5) == (is_contradiction, is_contradiction)
+    if is_contradiction:
+        assert fit.contradiction == pytest.approx(largest / 1.75)
+        assert "14 m" in fit.largest_deviation[0]
+
+
 def test_wrong_horizon_is_an_outlier():
     boxes = [flat_box(d, focal_px=900.0, height_m=1.5, horizon_px=0.0) for d in (6.0, 10.0, 20.0, 35.0)]
     known = [

@@ -60,6 +60,7 @@ _STANDS = np.isin(SIZE_CLASSES, ("person", "bicycle", "car", "motorcycle", "bus"
 
 _MIN_HEIGHT_PX = 12.0  # height of a box of the scene below which it is not used
 _MAX_DEVIATION = 2.0  # rms of the deviations in sigmas, above which measurements and priors contradict each other
+_MAX_RESIDUAL = 3.5  # the same for one measurement: none of 120 fits to boxes with these errors reached 2.6
 _N_REWEIGHTS = 2  # number of fits with updated standard deviations of the scene
 _MAX_SLOPE_RATIO = 2.0  # largest factor between the inverse depth by size and by the fitted road in these sigmas
 _N_GRID = 13  # number of focal lengths at which distances by size are computed, for interpolation
@@ -86,7 +87,8 @@ class CameraFit:
     covariance: FloatArray  # (5, 5) their covariance; larger if measurements and priors contradict each other
     prior_sigma: FloatArray  # (5,) standard deviations of the priors
     residuals: tuple[Residual, ...] = field(default=())  # residuals of the user's measurements and the horizon rows
-    contradiction: float = 1.0  # factor of all sigmas by contradictions (Birge's ratio); 1 = none
+    # factor of all sigmas by contradictions (Birge's ratio, or larger by one residual); 1 = none
+    contradiction: float = 1.0
     largest_deviation: tuple[str, float] = ("", 0.0)  # measurement or prior, and its sigmas
 
     @property
@@ -181,6 +183,8 @@ def fit_camera(
     deviations = terms.deviations(fit.x)
     n_measurements = len(deviations) - len(PARAMETERS)
     contradiction = math.sqrt(sum(value**2 for _, value in deviations) / max(n_measurements, 1))
+    largest = max((abs(value) for _, value in deviations[len(PARAMETERS) :]), default=0.0)
+    contradiction = max(contradiction, largest * _MAX_DEVIATION / _MAX_RESIDUAL)
     contradiction = contradiction if contradiction > _MAX_DEVIATION else 1.0
     covariance: FloatArray = np.asarray(np.linalg.inv(jacobian.T @ jacobian), np.float64) * contradiction**2
     return CameraFit(
