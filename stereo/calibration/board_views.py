@@ -80,7 +80,8 @@ class BoardFinder:
         """Whether a fast search finds a board: for videos, in which most frames show none."""
         image = grey(image)
         if self._charuco:
-            return self._charuco[0].detectBoard(image)[3] is not None
+            marker_id = self._charuco[0].detectBoard(image)[3]
+            return marker_id is not None and len(marker_id) > 0  # no marker is None or, in OpenCV 5.1, an empty array
         scale = min(1.0, 640 / max(image.shape))
         small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
         return len(self._chess_corners(np.asarray(small, np.uint8), flags=0)[0]) > 0

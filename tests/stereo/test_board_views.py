@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -70,6 +71,13 @@ def test_images_without_a_board():
         assert finder.find(grey, "v") == RejectedView("v", "no complete board found")
         assert not finder.may_contain_board(grey)
     assert BoardFinder(CHESS).find(np.zeros((4, 4), np.uint8), "v") == RejectedView("v", "no complete board found")
+
+
+@pytest.mark.parametrize("marker_id", [None, np.zeros((0, 1), np.int32)])
+def test_no_marker_in_both_forms_of_opencv(marker_id):
+    finder = BoardFinder(CHARUCO)
+    finder._charuco = (SimpleNamespace(detectBoard=lambda image: (None, None, (), marker_id)),)
+    assert not finder.may_contain_board(np.zeros((9, 9), np.uint8))
 
 
 def test_may_contain_board():
