@@ -113,7 +113,7 @@ def _loaded(entry: EntryPoint) -> RangingMethod:
 
 
 def _check(method: RangingMethod, others: Sequence[RangingMethod], pending: Sequence[str] = ()) -> None:
-    """MethodError: the method has the name or letter of another one, or names one that is not `pending` either."""
+    """MethodError: the method has another method's name or letter, or names an unknown method."""
     known = [*(other.name for other in others), *pending]
     if unknown := [name for name in (*method.reads, method.fallback_for) if name is not None and name not in known]:
         raise MethodError(

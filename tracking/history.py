@@ -149,7 +149,7 @@ def predict_missing(
     """Row numbers (M,) of the N missing tracks that can be predicted at `time_s`, and their boxes (M, 4).
 
     The border (4,) has the outer edges of the image, or of all boxes so far; without it, boxes that leave the image are
-    predicted for a while. `others_xyxy_px` (K, 4) are detected boxes of this frame, which may occlude a missing one.
+    predicted for a while. `others_xyxy_px` (K, 4) are detected boxes of this frame, which may occlude a missing box.
     """
     is_recent = time_s - history.last_s <= gates.max_missing_s
     rows = (is_recent & (history.hit_streak >= gates.min_hit_streak)).nonzero()[0]

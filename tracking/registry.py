@@ -107,7 +107,7 @@ def register_tracker(name: str, factory: TrackerFactory | str, *, uses_reid: boo
 
 
 def find_tracker(name: str) -> RegisteredTracker:
-    """The tracker with a name or `package.module:Class`, checked as far as possible without creating one.
+    """The tracker with a name or `package.module:Class`, checked as far as possible without creating a tracker.
 
     The command line also searches for a `package.module:Class` in the current folder, after the installed modules.
     Raises TrackerError: there is no such tracker, or it does not take `TrackerOptions`.

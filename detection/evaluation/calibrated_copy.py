@@ -80,7 +80,7 @@ def write_calibrated(
     try:
         model = onnx.load(path)
     except Exception as error:  # onnx and protobuf raise unrelated types
-        raise ModelError(f"{path}: not a readable ONNX model ({type(error).__name__}).") from error
+        raise ModelError(f"{path}: this is not a readable ONNX model ({type(error).__name__}).") from error
     graph = model.graph
     outputs = [graph.output[index] for index in score_outputs]
     dtype = helper.tensor_dtype_to_np_dtype(outputs[0].type.tensor_type.elem_type)

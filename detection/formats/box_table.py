@@ -184,7 +184,7 @@ def _column(values: npt.ArrayLike, dtype: type, *shape: int) -> npt.NDArray[Any]
 
 
 def frames_listed(table: BoxTable) -> Sequence[int]:
-    """Numbers of the frames that a written file lists, by default from the first labelled one to the last one."""
+    """Numbers of the frames that a written file lists, by default from the first labelled frame to the last frame."""
     if table.video.frames is not None:
         return table.video.frames
     n_frames = max(table.video.n_frames or 0, int(table.frame.max(initial=-1)) + 1)

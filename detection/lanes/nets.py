@@ -157,7 +157,7 @@ class NetLaneFinder:
         return lines
 
     def _view(self, image_hw: tuple[int, int]) -> tuple[slice, slice]:
-        """Rows and columns of the largest crop with the tracked or typical horizon in the family's row, or of all."""
+        """Rows and columns of the largest crop with the tracked or typical horizon in the family's row, else of all."""
         height, width = image_hw
         horizon, aspect, state = self._family.horizon, self._family.aspect, self._lane.state
         if horizon is None:

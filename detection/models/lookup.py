@@ -42,7 +42,7 @@ def models_folder() -> Path:
     """Folder of downloaded models: $TRACK_RANGE_CACHE/models, or in the cache folder; ModelError without a home."""
     folder = cache_folder()
     if folder is None:
-        raise ModelError("no home folder for downloaded models; set TRACK_RANGE_CACHE to a folder.")
+        raise ModelError("there is no home folder for downloaded models; set TRACK_RANGE_CACHE to a folder.")
     return folder / "models"
 
 
@@ -72,7 +72,7 @@ def find_model(
         near = difflib.get_close_matches(text[:60].lower(), known, n=2, cutoff=0.5)
         hint = f"did you mean {' or '.join(near)}?" if near else f"known models: {', '.join(known)}."
         raise ModelError(
-            f"{shortened(text)}: no model file or model of this name; {hint} See `track-range models list`."
+            f"{shortened(text)}: there is no model file or model of this name; {hint} See `track-range models list`."
         )
     return ModelLocation(model, "catalogue", entry)
 

@@ -72,7 +72,7 @@ def quantize_int8(
     `blobs` are calibration inputs (1, 3, H, W), 30 to 100 images typical of the network's use in random order, which
     are read once, one by one; the first blobs also determine which layers stay in float, and the corrections of the
     biases, for which the network is run once per convolution (a minute for YOLOv5n at 640 x 640). `progress` is called
-    with the number of convolutions whose bias is corrected and the number of all.
+    with the number of convolutions whose bias is corrected, and their total number.
 
     ModelError: not a usable float32 network with convolutions to quantise, no blobs, or blobs of the wrong shape.
     """
@@ -117,7 +117,7 @@ def convert_fp16(path: Path, out: Path) -> None:
 
 
 def calibration_images(folder: Path, measured: frozenset[Path]) -> tuple[list[Path], list[Path]]:
-    """Images for calibration, and the rest; labelled images are used for calibration only if all are labelled."""
+    """Images for calibration, and other images; labelled images are used for calibration only if all are labelled."""
     paths = images_in(folder)
     pool = [path for path in paths if path not in measured] or paths
     n = min(N_CALIBRATION, len(paths) // 2)

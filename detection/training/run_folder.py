@@ -48,7 +48,7 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # torch raises a dozen unrelated types for a broken file
-        raise CheckpointError(f"{path}: not a checkpoint, or damaged ({type(error).__name__}).") from error
+        raise CheckpointError(f"{path}: this is no intact checkpoint ({type(error).__name__}).") from error
     if not isinstance(content, dict) or content.get("format") != _FORMAT:
         raise CheckpointError(f"{path}: expected a checkpoint of `track-range train`.")
     content = {"identity": None, "average": None, "feature_loss": {}} | content
@@ -59,7 +59,7 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
 
 
 def load_mean(paths: Sequence[Path]) -> dict[str, Any]:
-    """The content of the first checkpoint, with the mean of the averaged weights of all.
+    """The content of the first checkpoint, with the mean of the averaged weights of all checkpoints.
 
     The mean of checkpoints of one run, or of runs that started from the same weights, is often better than each of
     them (Izmailov et al., "Averaging Weights Leads to Wider Optima and Better Generalization", UAI 2018); the mean of

@@ -61,7 +61,7 @@ def _convolutions(path: Path) -> list[tuple[np.ndarray, np.ndarray]]:
     try:
         graph = onnx.load(str(path)).graph
     except Exception as error:  # onnx and protobuf raise unrelated types
-        raise ModelError(f"{path}: not a readable ONNX model ({type(error).__name__}).") from error
+        raise ModelError(f"{path}: this is not a readable ONNX model ({type(error).__name__}).") from error
     values = {tensor.name: tensor for tensor in graph.initializer}
     for node in graph.node:  # equal weights may be stored once
         if node.op_type == "Identity" and node.input[0] in values:

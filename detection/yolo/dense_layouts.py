@@ -299,7 +299,7 @@ def boxes_and_scores(network: NetworkOutputs) -> Iterator[YoloModel]:
 
 
 def _is_background(part: Part, column: slice, outputs: Sequence[FloatArray32]) -> bool:
-    """Whether a column of the scores exceeds the others in most rows."""
+    """Whether a column of the scores exceeds the other columns in most rows."""
     scores = part.of(outputs)
     return bool(np.mean(scores[:, column].max(axis=1) >= scores.max(axis=1)) > 0.5)
 

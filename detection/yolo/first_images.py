@@ -91,7 +91,7 @@ class FirstImages:
             )
         elif is_last:
             self.chosen = (possible or readings)[0].name
-            self.why = "this layout is usual for these shapes; too few boxes in the first images to compare others"
+            self.why = "usual for these shapes; the first images have too few boxes for a comparison of layouts"
         return ranked[0] if is_clear else (possible or readings)[0]
 
     def check(self, reading: YoloModel, outputs: Sequence[FloatArray32], input_hw: tuple[int, int]) -> None:

@@ -70,7 +70,7 @@ def known_mistakes(cause: Cause, factor: float, sigma: float) -> list[str]:
 
 
 def prior_cost(cause: Cause, factor: float, sigma: float) -> float:
-    """-2 log of the prior of a mistake with this factor: a known one, or any, uniform over 1 in its logarithm.
+    """-2 log of the prior of a mistake with this factor: known, or else with a uniform density of the logarithm.
 
     Baselines may have any factor at no cost: boards have squares of all sizes.
     """

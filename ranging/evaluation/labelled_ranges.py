@@ -191,7 +191,7 @@ def _notes(settings: RangeEvaluationSettings, n_sequences: int, n_folds: int) ->
     notes = [
         f"Ground truth: {_TRUTH[settings.truth]}, for {objects}. Metrics by class cover 10-100 m, metrics of far "
         "objects 30-100 m, bands 5-100 m.",
-        f"Plain curves: fitted to {fitted}, {scheme}. Size curves of mono: {mono_curves}.",
+        f"Plain curves are fitted to {fitted}, {scheme}. Size curves of mono: {mono_curves}.",
     ]
     if settings.frames is not None and not is_refitted:
         notes.append(
@@ -200,7 +200,7 @@ def _notes(settings: RangeEvaluationSettings, n_sequences: int, n_folds: int) ->
         )
     if settings.filter != "none":
         notes.append(
-            "Filtered over time with unknown ego speed; the true closing speed is the mean over half a second before "
-            "and after each label."
+            "Distances are filtered over time with unknown ego speed; the true closing speed is the mean over half a "
+            "second before and after each label."
         )
     return notes

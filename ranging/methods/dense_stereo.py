@@ -34,7 +34,7 @@ class DenseRanger(Ranger):
         self._pending[frame.index] = self._thread.submit(self._disparity, frame)
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
-        """Distances of observed boxes with enough valid disparities; NaN for the rest."""
+        """Distances of observed boxes with enough valid disparities; NaN for other boxes."""
         if frame.index not in self._pending:
             self.start(frame)
         self.disparity = disparity = self._pending.pop(frame.index).result()

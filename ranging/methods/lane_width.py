@@ -166,7 +166,7 @@ class LaneWidthRanger(Ranger):
     def _learn(
         self, tracks: Tracks, widths: _Widths, measured: Ranges, shared_sigma: float, time_s: float
     ) -> BoolArray:
-        """Add the widths at the tracks by another method's distances; returns which of the tracks (N,) have one."""
+        """Add the widths at the tracks by another method's distances; returns which of the tracks (N,) have a width."""
         w, sigma_w, is_valid = widths
         usable = np.asarray(is_valid & np.isfinite(measured.distance_m) & np.isfinite(measured.sigma_m))
         distance_m, ids = (measured.distance_m - self._offset_m(tracks))[usable], tracks.track_id[usable]

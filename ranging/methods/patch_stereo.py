@@ -102,11 +102,11 @@ class StereoRanger(Ranger):
 
     @property
     def matches(self) -> PatchMatches | None:
-        """Matches of the observed boxes in the last frame, with the number of surfaces; None before the first."""
+        """Matches of the observed boxes in the last frame, with the number of surfaces; None before the first frame."""
         return self._matcher.matches
 
     def _surfaces(self, tracks: Tracks) -> dict[str, FloatArray]:
-        """Number of surfaces, and probability of the measured one, of the tracks that were matched in this frame."""
+        """Number of surfaces, and probability of the measured surface, of the tracks matched in this frame."""
         details = np.full((len(_DETAILS), len(tracks)), np.nan)
         if (matches := self._matcher.matches) is not None:
             is_matched = np.isfinite(matches.disparity_px)
@@ -182,7 +182,7 @@ class SizeScaledRanger(Ranger):
         return self.measure_with(tracks, frame, {})
 
     def measure_with(self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges]) -> Ranges:
-        """Distances of the boxes that match, after mono's distances have updated the scale; NaN for the rest."""
+        """Distances of the boxes that match, after mono's distances have updated the scale; NaN for other boxes."""
         disparity_px, sigma_px = self._matcher.match(tracks, frame)
         if "mono" in others:
             self.scale.learn(disparity_px, others["mono"])

@@ -35,7 +35,7 @@ _STEPS = np.linspace(-_GRID_SIGMAS, _GRID_SIGMAS, _N_GRID)  # (G,) grid points i
 
 _TRAPEZOIDS = (np.triu(np.ones((_N_GRID, _N_GRID))) + np.triu(np.ones((_N_GRID, _N_GRID)), k=1)) / 2
 _TRAPEZOIDS[0] -= 0.5
-"""(G, G) trapezoidal rule: `density @ _TRAPEZOIDS` is the integral from the first grid point to each one."""
+"""(G, G) trapezoidal rule: `density @ _TRAPEZOIDS` is the integral from the first grid point to each point."""
 
 _NOT_ON_THE_ROAD = 0.003  # likelihood per unit of tangent of a bottom edge on a bridge or balcony
 _T_COMPONENTS = ((0.5, 0.8), (0.35, 2.0), (0.15, 5.0))  # (weight, scale) of Gaussians: Student's t with 2 d.o.f.

@@ -4,7 +4,7 @@
     yaw                         ~ weights of a few angles to the camera's axis, the same to the left and right
     log distance                ~ N(mean, sigma)                            wide: it only makes 500 m unlikely
 
-The components b are body types (small van, high-roof van, lorry); classes whose sizes vary little have one.
+The components b are body types (small van, high-roof van, lorry); classes whose sizes vary little have a single type.
 
 `ShapeTables` contain the geometry of `cuboid.py` at nodes of yaw, bearing and log distance, with slopes for linear
 interpolation, so that the boxes of a frame need a single look-up.

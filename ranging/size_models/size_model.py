@@ -273,7 +273,7 @@ class StoredSizeModel(SizeModel, Protocol):
 
 
 def _by_class(values: dict[str, float]) -> FloatArray:
-    """(size classes,) the values, 0 for classes without one."""
+    """(size classes,) the values, 0 for classes without a value."""
     return np.array([values.get(name, 0.0) for name in SIZE_CLASSES])
 
 

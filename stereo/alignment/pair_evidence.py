@@ -55,7 +55,7 @@ class _Features(NamedTuple):
 
 
 class _Pair(NamedTuple):
-    """Matches of a pair: points of the left image, and of the right one after its arrangement was undone."""
+    """Matches of a pair: points of the left image, and of the right image after its arrangement was undone."""
 
     arrangement: Arrangement
     n_matches: int  # of all orientations

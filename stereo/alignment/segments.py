@@ -136,7 +136,7 @@ def combine(
 
     covariance = jackknife over the strips (of all segments) + jackknife over the parts of the time
 
-    `estimated` are the numbers of the errors that are estimated; the others have the values `known_px` (3,), None = 0.
+    `estimated` are the numbers of the errors that are estimated; others have the values `known_px` (3,), None = 0.
     """
     chosen, known_px = np.array(sorted(estimated)), np.zeros(N_ERRORS) if known_px is None else known_px
     whole = [segment.whole for segment in segments]

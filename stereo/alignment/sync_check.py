@@ -92,7 +92,7 @@ def _small(view: ImageView) -> Image:
 
 
 def _exposed_as(image: Image, other: Image) -> Image:
-    """An image with the mean and contrast of another one, which Lucas-Kanade needs."""
+    """An image with the mean and contrast of another image, which Lucas-Kanade needs."""
     (mean, sigma), (other_mean, other_sigma) = ([float(y[0, 0]) for y in cv2.meanStdDev(x)] for x in (image, other))
     gain = other_sigma / max(sigma, 1.0)
     return np.asarray(cv2.addWeighted(image, gain, image, 0.0, other_mean - gain * mean), np.uint8)

@@ -78,7 +78,7 @@ def view_shape(view: BoardView) -> FloatArray:
 
 
 def most_different(views: Sequence[BoardView], n_views: int) -> list[int]:
-    """Ascending indices of `n_views` different views, by farthest-point sampling from the sharpest one."""
+    """Ascending indices of `n_views` different views, by farthest-point sampling from the sharpest view."""
     if len(views) <= n_views:
         return list(range(len(views)))
     shapes = np.stack([view_shape(view) for view in views])
@@ -112,11 +112,11 @@ def _uncovered_parts(fraction: FloatArray) -> list[str]:
     for axis, names in enumerate(_THIRDS):
         counts = np.histogram(fraction[:, axis], bins=3, range=(0, 1))[0] / len(fraction)
         missing = [name for name, count in zip(names, counts, strict=True) if count < _MIN_FRACTION_OF_THIRD]
-        warnings += [f"hardly any corners in the {name} third of the image: show the board there." for name in missing]
+        warnings += [f"the {name} third of the image has hardly any corners: show the board there." for name in missing]
         first, last = _range(fraction[:, axis])
         edges = ((names[0], first > _EDGE_FRACTION), (names[2], last < 1 - _EDGE_FRACTION))
         warnings += [
-            f"no corners near the {name} edge of the image: the lens distortion is extrapolated there."
+            f"there are no corners near the {name} edge of the image: the lens distortion is extrapolated there."
             for name, is_far in edges
             if is_far and name not in missing
         ]

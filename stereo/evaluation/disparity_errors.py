@@ -215,7 +215,7 @@ def risk_coverage(column: MatcherColumn, true_px: FloatArray, uncertainty: Float
 
 
 def certain_first(column: MatcherColumn, uncertainty: FloatArray | None = None) -> IntArray:
-    """(N,) rows of the boxes from the most to the least certain one, boxes without a value last.
+    """(N,) rows of the boxes from the most to the least certain box; boxes without a value come last.
 
     Equal uncertainties are in the order of the relative sigma.
     """

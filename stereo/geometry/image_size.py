@@ -105,7 +105,7 @@ def fitted_to_size(
         if not has_aspect_of(replace(camera, width_px=sizes[0][0], height_px=sizes[0][1]), size_px):
             advice = f"give the calibration of these images (fy {camera.fy_px * height / sizes[0][1]:.0f} px)"
         notes += (
-            f"{source}: focal length in doubt: the principal point x = {camera.cx_px:.0f} px is "
+            f"{source}: the focal length is in doubt: the principal point x = {camera.cx_px:.0f} px is "
             f"{abs(camera.cx_px + 0.5 - own[0] / 2) / own[0]:.0%} of the width off the middle of {own[0]}x{own[1]} px "
             f"(usual: up to {_CENTRED:.0%}), but central in {_listed(sizes)} px. If images were resized from {size} "
             f"px, the focal length is {fitted.fx_px / likely.factor:.0f} px instead of {fitted.fx_px:.0f} px, and "

@@ -23,7 +23,7 @@ class RigError(UserError):
 
 
 def rigid_motion(rotation: npt.ArrayLike, translation: npt.ArrayLike) -> FloatArray:
-    """(4, 4) transform x -> R x + t of a (3, 3) rotation R and a translation t of 3 numbers, in the unit of t."""
+    """(4, 4) transform x -> R x + t of a (3, 3) rotation R and a translation t of 3 numbers, in any unit."""
     motion = np.eye(4)
     motion[:3, :3], motion[:3, 3] = rotation, np.ravel(translation)
     return motion

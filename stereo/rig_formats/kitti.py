@@ -57,7 +57,7 @@ def _nameless(text: str) -> list[str]:
 
 
 def _read(text: str, source: object, is_grey: bool) -> RigCalibration:
-    """The cameras of a calib.txt: the colour pair, or the grey one if `is_grey` or if it is the only one."""
+    """The cameras of a calib.txt: the colour pair, or the grey pair if `is_grey` or if it is the only pair."""
     if lines := _nameless(text):
         return _read_nameless(lines, source)
     matrix = {number: _matrix(values, f"{source}: P{number}") for number, values in _lines(text, "P")}

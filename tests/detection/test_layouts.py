@@ -186,7 +186,7 @@ def test_real_networks_are_neither_refused_nor_ambiguous(shared_data):
         for image in images:
             detector.detect(image)
         assert detector.model.name == name
-        assert "layout is usual" not in detector.why
+        assert "usual for these shapes" not in detector.why
 
 
 def test_another_number_of_boxes_in_each_image(tmp_path):

@@ -52,7 +52,7 @@ def test_a_matrix_that_did_not_follow_the_resolution(scale, factor):
     )
     shown = [other.factor for other in size_alternatives(wrong, (1280, 720))]
     assert shown[0] == pytest.approx(factor)
-    assert "focal length in doubt" in fitted_to_size(wrong, (1280, 720), "info.yaml")[1][0]
+    assert "focal length is in doubt" in fitted_to_size(wrong, (1280, 720), "info.yaml")[1][0]
     assert size_alternatives(wrong, (640, 360))[0].factor == pytest.approx(factor)  # the images are resized, too
     loaded = calibration_of(StereoRig.rectified(wrong, 0.5), ((1280, 720),))
     assert loaded.focal_sigma == pytest.approx(max(abs(1 - 1 / other) for other in shown))

@@ -65,7 +65,7 @@ class RigAlignment:
         health = RigHealth(rig, measured, measured.if_clear(), windows)
         if health.has_row_error:
             note = (
-                f"Vertical offset of {measured.row_offset_px:+.2f} px between left and right, roll "
+                f"Left and right have a vertical offset of {measured.row_offset_px:+.2f} px, roll "
                 f"{measured.roll_deg:+.3f} degrees, focal length of the right camera "
                 f"{100 * (measured.focal_ratio - 1):+.2f} %: a run corrects this, but the rig does not fit these "
                 "images well; calibrate again."

@@ -137,7 +137,7 @@ def _sharp(shots: list[Views], rejected: list[RejectedView]) -> list[Views]:
 
 
 def _check_board(board: Board, samples: Sequence[Image], *, n_found: int, n_images: int) -> None:
-    """Raise CalibrationError if the images show another board than the given one, or no board."""
+    """Raise CalibrationError if the images show another board than given, or no board."""
     if isinstance(board, CharucoBoard):
         if not n_found:
             raise CalibrationError(_no_charuco_message(board, samples, n_images))

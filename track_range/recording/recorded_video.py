@@ -135,6 +135,6 @@ class RecordedVideo(ABC):
         if is_empty:
             part = "" if math.isinf(until_s) else f" to {until_s:.2f} s"
             raise VideoError(
-                f"{self.path}: no frame from {from_s:.2f} s{part}; the video starts at {self.first_time_s:.2f} s, "
-                "choose another start or duration."
+                f"{self.path}: there is no frame from {from_s:.2f} s{part}; the video starts at "
+                f"{self.first_time_s:.2f} s, choose another start or duration."
             )

@@ -15,7 +15,7 @@ _MAX_RELATIVE_SIGMA = 0.5  # largest standard deviation of a distance or closing
 def closest_approaches(columns: Columns) -> list[dict[str, Any]]:
     """One row for each road user (a track, without traffic lights and signs), nearest first.
 
-    Keys: `track_id`, `class` (the most frequent one); `min_distance_m` (filtered, else fused), `max_closing_mps` and
+    Keys: `track_id`, `class` (the most frequent class); `min_distance_m` (filtered, else fused), `max_closing_mps` and
     `min_ttc_front_s`, each with `_at_s`, its time; `min_distance_sigma_m`, `max_closing_sigma_mps`. None = unknown.
     Distances and closing speeds are from detected boxes, if their sigma is unknown or at most half of the value.
     """

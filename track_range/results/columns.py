@@ -119,7 +119,7 @@ def result_columns() -> tuple[ResultColumn, ...]:
 
 
 def _method_columns(*, is_built_in: bool) -> Iterator[ResultColumn]:
-    """Columns NAME_m and NAME_sigma_m of ranging methods and of their filters if they have one, and NAME_DETAIL.
+    """Columns NAME_m and NAME_sigma_m of ranging methods and of their filters, if any, and NAME_DETAIL.
 
     `is_built_in`: for built-in methods that measure distances, else for all other methods.
     """

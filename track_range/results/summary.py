@@ -118,7 +118,7 @@ def track_scores(columns: Columns, truth: Truth | None, frames: IntArray) -> dic
 
 
 def events_section(events: Sequence[Event], seconds: float) -> dict[str, Any]:
-    """Section `events`: number of events by kind, the most severe one, and the hours of processed video."""
+    """Section `events`: number of events by kind, the most severe event, and the hours of processed video."""
     worst = min(events, key=severity_key, default=None)
     return {
         "n": len(events),

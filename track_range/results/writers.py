@@ -223,7 +223,7 @@ class OpenWriters:
         self.close(None)
 
     def write(self, result: FrameResult) -> None:
-        """Add one frame to all files; if one file fails, the others are cut back to the frame before."""
+        """Add one frame to all files; if one file fails, the other files are cut back to the frame before."""
         for number, writer in enumerate(self._open):
             try:
                 with self._errors_of(writer):

@@ -38,7 +38,7 @@ def missing_outputs(settings: RunSettings, recording: Recording) -> tuple[str, .
     if settings.overlay_recorded and not recording.calibration.has_wide_lens:
         notes.append("--overlay-recorded: the calibration has no wide lens, so the overlay shows the rectified images.")
     if settings.disparity and recording.rig is None:
-        notes.append("No disparity.mp4: dense stereo requires a calibrated pair.")
+        notes.append("There is no disparity.mp4: dense stereo requires a calibrated pair.")
     if settings.overlay_disparity and recording.rig is None:
-        notes.append("No disparities below the overlay: dense stereo requires a calibrated pair.")
+        notes.append("There are no disparities below the overlay: dense stereo requires a calibrated pair.")
     return tuple(notes)

@@ -203,7 +203,7 @@ class Pipeline:
 
     @property
     def calibration(self) -> RecordingCalibration | None:
-        """The camera models of the next rectified frame; None before the first frame, which has the image size."""
+        """The camera models of the next rectified frame; None before the first frame, which gives the image size."""
         return None if self._opened is None else self._opened.next_calibration
 
     @property

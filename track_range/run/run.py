@@ -134,7 +134,7 @@ class Run:
                 `detect` and `update`, `rig` a `StereoRig`; `progress` shows progress bars.
 
         Raises:
-            ConfigError: an option is unknown or invalid, or contradicts another one.
+            ConfigError: an option is unknown or invalid, or contradicts another option.
         """
         sides = (left,) if right is None else (left, right)
         return cls._of({"stereo": tuple(_video(side) for side in sides)}, {**options})
@@ -146,7 +146,7 @@ class Run:
         A list contains the files of one recording: `Run.mono(["0001.mp4", "0002.mp4"], focal_px=1150)`.
 
         Raises:
-            ConfigError: an option is unknown or invalid, or contradicts another one.
+            ConfigError: an option is unknown or invalid, or contradicts another option.
         """
         return cls._of({"mono": _video(video)}, {**options})
 

@@ -255,7 +255,7 @@ class RunSession:
             *([_NO_POSITIONS] if settings.keep_gps and self.speed.track is None else []),
             *missing_outputs(settings, self.recording),
             *unused_options(settings),
-            *([f"Stopped early, after {n_frames} frames."] if self.stopped_by else []),
+            *([f"The run was stopped early, after {n_frames} frames."] if self.stopped_by else []),
             *self.frame_notes,
             *(pipeline.ranging.notes() if n_frames else ()),
             *(pipeline.scale_check.notes if pipeline.scale_check is not None and n_frames else ()),
@@ -263,7 +263,7 @@ class RunSession:
             *(note for note in pipeline.notes if note not in (*boxes, *lanes)),
             *lanes,
             *([] if speed is None else [speed]),
-            *([] if odometry is None else [f"Ego speed from {odometry.source}; --ego-speed off ignores this source."]),
+            *([] if odometry is None else [f"The ego speed is from {odometry.source}; --ego-speed off ignores it."]),
             *self.meter.notes,
         ]
         return [self._without_paths(note) for note in notes] if settings.anonymize else notes

@@ -61,7 +61,7 @@ NO_FAULTS = Faults()
 
 class _Recording(Options):
     car_size: Annotated[
-        float, option("Size of all cars relative to the scenario's.", metavar="FACTOR", panel=_DRIVE, ge=0.5, le=2)
+        float, option("Size of all cars relative to the usual size.", metavar="FACTOR", panel=_DRIVE, ge=0.5, le=2)
     ] = 1.0
     camera_pitch_deg: Annotated[
         float,

@@ -105,7 +105,7 @@ class VideoWriter:
         self._container.start_encoding()
 
     def write(self, image: Image, time_s: float) -> None:
-        """Append an image; times in the file count from the first one.
+        """Append an image; times in the file count from the first image.
 
         `image`: (height_px, width_px, 3) uint8 BGR. `time_s`: time of the image, later than the time of the previous
         image. Raises ValueError: another shape, a time that does not increase, or a closed writer. Raises VideoError:

@@ -136,7 +136,7 @@ def _unrelated(drive: Drive, _: int) -> Drive:
     return replace(drive, right=[images[k % len(images)] for k in range(len(drive.left))])
 
 
-SCALE, SIZE = "Scale in doubt", "focal length in doubt|principal point in the middle third"
+SCALE, SIZE = "Scale in doubt", "focal length is in doubt|principal point in the middle third"
 TIME = "not synchronised|repeats its last image|do not show the same moment"
 PAIR = f"{TIME}|swapped|rig does not fit|upside down|ertical offset"
 

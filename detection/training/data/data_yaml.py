@@ -180,7 +180,7 @@ def read_own_labels(path: Path) -> OwnLabels:
 def read_data_yaml(path: Path, *, within: frozenset[Path] = frozenset()) -> TrainingData:
     """The images and labels of a data.yaml; pixels are not read. LabelFileError or ImageFileError if a file is invalid.
 
-    `within` are the files that refer to this one, directly or indirectly, to detect circular references.
+    `within` are the files that refer to this file, directly or indirectly, to detect circular references.
     """
     reader = _Reader(path, within)
     road = map_to_road_classes(reader.names)
@@ -218,7 +218,7 @@ class _Reader:
         items = [item for part in entries for item in self._entry(part, key)]
         if not items and not may_be_empty:
             split = f" (the manifest has no images of the split '{key}')" if self.document.manifest else ""
-            raise LabelFileError(f"{self._path}: no labelled images for '{key}'{split}.")
+            raise LabelFileError(f"{self._path}: there are no labelled images for '{key}'{split}.")
         return items
 
     def all_notes(self, train: list[LabelledImage], val: list[LabelledImage]) -> tuple[str, ...]:

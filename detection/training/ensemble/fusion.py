@@ -61,7 +61,7 @@ def fuse(boxes: Sequence[ViewBoxes]) -> FusedBoxes:
 
 
 def _clusters(is_same_object: BoolArray, *, n_seeds: int) -> IntArray:
-    """(N,) cluster of each box, in order of decreasing score, -1 = none; the first `n_seeds` boxes can start one."""
+    """(N,) cluster of each box, in order of decreasing score, -1 = none; only the first `n_seeds` start clusters."""
     cluster: IntArray = np.full(len(is_same_object), -1, np.int64)
     n_clusters = 0
     for seed in range(n_seeds):

@@ -52,7 +52,7 @@ def test_good_pair_has_no_notes():
 def test_row_offset_is_reported_unless_corrected():
     monitor = PairMonitor(RIG)
     (note,) = notes_of(frames(MAX_CHECKED_PAIRS, row_px=5), monitor)
-    assert "Vertical offset of +" in note
+    assert "vertical offset of +" in note
     assert monitor.row_offset_px == pytest.approx(5.0, abs=0.2)
     monitor.corrected_px = 4.5
     assert monitor.notes == ()

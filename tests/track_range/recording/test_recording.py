@@ -150,7 +150,7 @@ def test_uncalibrated_rows_corrected_or_stereo_off(pair, tmp_path):
     grey = cv2.cvtColor(frame.left, cv2.COLOR_BGR2GRAY).astype(int)
     difference = np.abs(grey[8:-8, SHIFT_PX:] - whole_image(frame.right)[8:-8, :-SHIFT_PX])
     assert np.median(difference) <= 4
-    assert any("Vertical offset of +" in note and "corrected" in note for note in recording.notes)
+    assert any("vertical offset of +" in note and "corrected" in note for note in recording.notes)
     rotated = tmp_path / "rotated"
     rotated.mkdir()
     middle = ((WIDTH_PX - 1) / 2, (HEIGHT_PX - 1) / 2)

@@ -67,7 +67,7 @@ def test_insignificant_alignment_is_uncertainty():
 def test_rows_are_moved_from_0_3_px(row_px, moved_px):
     alignment = PairAlignment(measured=Alignment(row_offset_px=row_px), is_applied=False, rig=RIG)
     assert alignment.measured.row_correction_px == moved_px
-    assert any("Vertical offset" in note for note in alignment.notes) == (moved_px != 0)
+    assert any("vertical offset" in note for note in alignment.notes) == (moved_px != 0)
 
 
 def rendered(n_frames):

@@ -56,7 +56,7 @@ def test_pair_without_a_rig_is_scaled_by_sizes(drive, run, tmp_path):
     assert np.nanmin(fraction) > summary["focal_sigma"]
     assert "sgbm" not in summary["methods"]
     assert "track-range calibrate" in printed
-    assert "No disparity.mp4" in printed
+    assert "no disparity.mp4" in printed
     assert "out: report.html" in printed
     assert summary["files"] == {}
     detected = yaml.safe_load((tmp_path / "out/settings.yaml").read_text())["found"]

@@ -161,7 +161,7 @@ class RoadEvidence:
 
     @property
     def horizon(self) -> tuple[HorizonRow, ...]:
-        """The row of the horizon from lanes and from the direction of travel, where enough frames have one."""
+        """The row of the horizon from lanes and from the direction of travel, where enough frames have a horizon."""
         rows = (
             _row(self.lane_rows, _LANE_SIGMA_RAD * self.camera.fy_px, "lane lines"),
             _row(self.travel_rows, _TRAVEL_SIGMA_RAD * self.camera.fy_px, "direction of travel"),

@@ -40,7 +40,7 @@ class DemoOptions(Options):
 def _demo(options: DemoOptions) -> None:
     with locked_output(options.out / "drive"):
         boxes = "the simulation: true boxes with noise" if options.playback else "the packaged detector"
-        print_line(console, f"Simulated stereo drive of {options.seconds:g} s; detections from {boxes}.")
+        print_line(console, f"The stereo drive of {options.seconds:g} s is simulated; boxes come from {boxes}.")
         with step_progress(console, "rendering") as progress, one_opencv_thread():
             drive = write_drive(
                 options.out / "drive", seed=options.seed, seconds=options.seconds, scenario=SCENARIO, progress=progress

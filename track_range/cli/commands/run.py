@@ -79,7 +79,7 @@ def _run(**values: Any) -> None:
         raise UsageError("--views makes several runs: it cannot be combined with --show or --serve.")
     views_deg = directions_deg(options.views, settings)
     path = run_views(settings, views_deg, lambda one: run_and_print(one, console, print_results=printed))
-    print_line(console, f"Tracks of all views in {path}.")
+    print_line(console, f"The tracks of all views are in {path}.")
 
 
 def run_and_print(

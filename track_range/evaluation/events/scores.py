@@ -7,10 +7,10 @@ contact.
     miss          contact without one; a later warning is too late
     false alarm   warning on an object that has no contact
 
-An object with several contacts: a warning belongs to the next contact after it, or to the last one. Each contact counts
-for one kind: the kind of its first warning in time; a miss counts for the kind of its first late warning, else for the
-kind that its class leads to expect (person: pedestrian_on_path, others: forward_collision). So the counts of the kinds
-add up to the overall counts.
+An object with several contacts: a warning belongs to the next contact after the warning, or to the last contact. Each
+contact counts for one kind: the kind of its first warning in time; a miss counts for the kind of its first late
+warning, else for the kind that its class leads to expect (person: pedestrian_on_path, others: forward_collision). So
+the counts of the kinds add up to the overall counts.
 
 Labelled events are matched to events of the same kind and class one to one, so that as many as possible match, if they
 overlap in time or are at most `TOLERANCE_S` apart. The lead is the time from `warning_s` (without a warning from

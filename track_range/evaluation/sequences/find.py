@@ -93,7 +93,7 @@ def ignored_files_note(path: Path, sequences: Sequence[SequenceFile]) -> tuple[s
     used = {sequence.path for sequence in sequences}
     is_plain = path.is_dir() and not _rows_of_run(path)
     ignored = [file.name for file in _text_files(path) if file not in used] if is_plain else []
-    return (f"{path}: read in MOTChallenge's layout; ignored: {listed(ignored)}.",) if ignored else ()
+    return (f"{path}: MOTChallenge's layout is used; ignored files: {listed(ignored)}.",) if ignored else ()
 
 
 def no_truth_note(truth: Sequence[SequenceFile], results: Sequence[SequenceFile]) -> tuple[str, ...]:

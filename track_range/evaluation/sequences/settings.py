@@ -42,7 +42,7 @@ ManifestField = Annotated[
     Path | None,
     option(
         "CSV with the columns file, split and labels_complete (8 flags), which selects images and the classes to "
-        "evaluate in each."
+        "evaluate in each image."
     ),
 ]
 SplitField = Annotated[str, option("Split of the manifest to evaluate on.")]

@@ -67,7 +67,7 @@ def track(
 ) -> TrackedFiles:
     """Track every sequence and write `mot/NAME.txt`, with frames counted from 1 as MOTChallenge defines.
 
-    If one of several sequences cannot be read, the others are tracked; a single unreadable sequence raises
+    If one of several sequences cannot be read, the other sequences are tracked; a single unreadable sequence raises
     LabelFileError or VideoError, invalid settings raise TrackerError, ModelError, ClassNameError or UsageError, `out`
     OutputError or FolderLockError.
     """
@@ -278,7 +278,7 @@ def _size_and_outside(xyxy_px: FloatArray, image: Image) -> tuple[str, BoolArray
 
 def _image_notes(with_image: Sequence[tuple[str, BoolArray]], images: Path | None, n_frames: int) -> Iterator[str]:
     if len(with_image) < n_frames:
-        yield f"{images}: images for {len(with_image)} of {n_frames} frames; the other frames use boxes only."
+        yield f"{images}: found images for {len(with_image)} of {n_frames} frames; the other frames use boxes only."
     n_boxes = sum(len(is_outside) for _, is_outside in with_image)
     n_outside = sum(int(is_outside.sum()) for _, is_outside in with_image)
     if n_outside > _MAX_OUTSIDE * n_boxes:

@@ -129,7 +129,7 @@ def _no_cluster(address: str, reason: object) -> FleetError:
 
 
 def _init(**options: Any) -> None:
-    """Start a cluster, at the second try if needed, or join one; raises FleetError if this is not possible."""
+    """Start a cluster, at the second try if needed, or join a cluster; raises FleetError if this is not possible."""
     import ray
 
     logging.getLogger("ray").setLevel(logging.CRITICAL)

@@ -152,7 +152,7 @@ def fleet_plan(settings: FleetSettings, options: Mapping[str, Any]) -> FleetPlan
     for name in options:
         field = RunSettings.model_fields.get(name)
         if field is not None and (instead := option_of(field).instead):
-            raise UsageError(f"{RunSettings.flag(name)}: not an option of a fleet; {instead}.")
+            raise UsageError(f"{RunSettings.flag(name)}: this is not an option of a fleet; {instead}.")
     given = {"overlay": False, **options, "threads": settings.threads}
     checked = _validated(given)
     if checked.ego_speed not in (AUTO, OFF) and math.isnan(number(checked.ego_speed)):

@@ -66,7 +66,7 @@ class Template:
 
 @dataclass(frozen=True, slots=True)
 class FilePattern:
-    """Value of --pattern: names of the left or only video of a clip, and of the right one, relative to a folder."""
+    """Value of --pattern: names of the left or only video of a clip, and of the right video, relative to a folder."""
 
     text: str
     left: Template

@@ -76,7 +76,7 @@ def runs_location(out: Location, name: str) -> Location:
 
 
 def publish(out: Location, location: Location, content: Path | bytes) -> None:
-    """Write a file, or copy a local one, to its location in the output `out`; it appears as a whole.
+    """Write a file, or copy a local file, to its location in the output `out`; it appears as a whole.
 
     In a local folder it is written to OUT/unfinished first: a worker that is killed leaves nothing beside the results,
     where readers of the data set would find it. Uploads to an object store are atomic, and repeated after errors of

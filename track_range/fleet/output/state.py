@@ -70,7 +70,7 @@ class FleetState:
         return 3600 * self.done / elapsed_s if self.done and elapsed_s > 0 else None
 
     def text(self) -> str:
-        """One line: clips done of all, failures, rate, time left."""
+        """One line: number of clips that are done and of all clips, failures, rate, time left."""
         parts = [f"{self.skipped + self.done} of {self.total} clips done"]
         if self.failed:
             parts.append(f"{self.failed} failed")

@@ -110,7 +110,7 @@ def fleet_figures(
     """Figures of the fleet with the results `out`.
 
     `group`: column of clips.parquet that groups the calibration drift; None = the vehicle, if there is one. `progress`
-    is called with the number of the clips that were read, and of all. Raises FleetError: there is no fleet;
+    is called with the number of the clips that were read, and of all clips. Raises FleetError: there is no fleet;
     StorageError: the storage cannot be read.
     """
     problems: list[str] = []

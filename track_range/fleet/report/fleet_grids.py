@@ -117,7 +117,7 @@ def fleet_sections(figures: Figures, links: Links | None = None) -> list[Section
         "closest": (
             "Closest approaches",
             f"Smallest filtered fused distance of a road user, with its standard deviation {tables.SIGMA} of at most "
-            "half the distance; one row per track. x is the box centre's, positive to the right of the camera.",
+            "half the distance; one row per track. x is to the box centre, positive to the right of the camera.",
             [_ranking("Closest tracks", figures["closest"], _CLOSEST_MEASURES, links)],
             "No road user has a distance.",
         ),

@@ -131,8 +131,8 @@ class RecordingCalibration:
         )
         return (
             f"Pixels of the images of {recorded.width_px}x{recorded.height_px} px are {own:.3g} times as wide as high: "
-            f"resampled to {self.camera.width_px}x{self.camera.height_px} px with square pixels, to which focal length "
-            f"and boxes refer.{doubt}",
+            f"they are resampled to {self.camera.width_px}x{self.camera.height_px} px with square pixels, to which "
+            f"focal length and boxes refer.{doubt}",
         )
 
     def _focal_notes(self, focal: FocalGuess) -> tuple[str, ...]:
@@ -159,7 +159,7 @@ class RecordingCalibration:
                 "come from the left video alone.",
             )
         row_px = self.row_offset_px
-        rows = f" Vertical offset of {row_px:+.1f} px between left and right; corrected." if row_px else ""
+        rows = f" Left and right have a vertical offset of {row_px:+.1f} px, which is corrected." if row_px else ""
         return (
             f"No rig, so distances are uncalibrated: {length}, and the baseline is estimated from the sizes of road "
             f"users; {how}.{rows}",
@@ -326,7 +326,7 @@ def _without_file(
     stored = camera.resized(sizes_px[0])
     others = () if video.pixel_aspect is not None else image_size.analogue_alternatives(sizes_px[0])
     doubt = (
-        f"{video.path}: pixel aspect of analogue video not stated: {', '.join(other.cause for other in others)}. "
+        f"{video.path}: pixel aspect of analogue video is not stated: {', '.join(other.cause for other in others)}. "
         "Pixels are taken as square, and sigma covers it; state the shape: ffmpeg -i IN -c copy -aspect 4:3 OUT.mp4."
     )
     return RecordingCalibration(

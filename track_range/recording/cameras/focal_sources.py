@@ -75,7 +75,7 @@ _EXIF_FOLDER, _EXIF_FILM_MM, _EXIF_MODEL = 0x8769, 0xA405, 0x0110  # tags: folde
 
 
 def focal_guesses(video: RecordedVideo, camera_model: str | None = None) -> tuple[FocalGuess, ...]:
-    """Guesses from the given model, the header or EXIF, else the usual one; raises UsageError for an unknown model."""
+    """Guesses from the given model, the header or EXIF, else a usual focal length; UsageError for an unknown model."""
     size_px = video.shown_size_px
     if camera_model is not None:
         return (_of_model(camera_model, size_px[0]),)

@@ -104,7 +104,7 @@ class DecodeLog:
             )
         if self._n_gaps:
             notes.append(
-                f"{counted(self._n_gaps, 'gap')} in the timestamps, the longest {self._longest_gap[0]:.2f} s, after "
+                f"the timestamps have {counted(self._n_gaps, 'gap')}, the longest {self._longest_gap[0]:.2f} s, after "
                 f"{self._longest_gap[1]:.2f} s: frames are missing there."
             )
         if self.n_repeated > _MAX_REPEATED * self.n_used:

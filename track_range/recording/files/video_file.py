@@ -112,7 +112,7 @@ class VideoFile(RecordedVideo):
         self._axes = _display_axes(frame)
         self.is_upright_file = self._axes == UPRIGHT and stream == container.streams.video[0]
         if self._axes != UPRIGHT:
-            self._file_notes.append(f"{path}: rotated upright according to its metadata.")
+            self._file_notes.append(f"{path}: the images are rotated upright, as the metadata state.")
         if stated := float(stream.sample_aspect_ratio or 0):
             stated = 1 / stated if self._axes[1] else stated  # of the upright image
             if 1 / _MAX_PIXEL_ASPECT <= stated <= _MAX_PIXEL_ASPECT:
@@ -462,7 +462,7 @@ def _unreadable_reason(path: Path) -> str:
     if path.suffix.lower() in (".svo", ".svo2"):
         return ZED_SENTENCE
     if start[4:8] == b"ftyp":
-        return "MP4 file without an index, truncated while recording or copying; copy it again, or repair it."
+        return "this MP4 file has no index, since recording or copying was cut off; copy it again, or repair it."
     return "not a video, or damaged at its start; give a video file or a folder of numbered images."
 
 

@@ -69,9 +69,9 @@ class PairAlignment:
             return (self.applied.sentence(),)
         m = self.measured
         rows = (
-            f"Vertical offset of {m.row_offset_px:+.1f} px between left and right (roll {m.roll_deg:+.2f} degrees, "
-            f"focal length of the right camera {100 * (m.focal_ratio - 1):+.1f} %): corrected, but the rig does not "
-            "fit these videos well; calibrate again.",
+            f"Left and right have a vertical offset of {m.row_offset_px:+.1f} px (roll {m.roll_deg:+.2f} degrees, "
+            f"focal length of the right camera {100 * (m.focal_ratio - 1):+.1f} %): it is corrected, but the rig does "
+            "not fit these videos well; calibrate again.",
         )
         rig = (health.sentence(),) if m.is_measured or health.has_row_error else ()
         moved = (health.move_sentence(),) if health.move is not None else ()

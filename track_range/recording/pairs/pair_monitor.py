@@ -124,6 +124,6 @@ class PairMonitor:
         if self.finding.sentence or self.finding.fault == "unsteady" or abs(row_px) <= _MAX_ROW_OFFSET_PX:
             return tuple(filter(None, [self.finding.sentence]))
         return (
-            f"Vertical offset of {row_px:+.1f} px between left and right: the rig does not fit these videos well, so "
+            f"Left and right have a vertical offset of {row_px:+.1f} px: the rig does not fit these videos well, so "
             "stereo distances are less accurate; calibrate again.",
         )

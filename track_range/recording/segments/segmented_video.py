@@ -41,10 +41,10 @@ _MIN_REPEATED_BYTES = 2000  # fewer bytes of equal frames may belong to an empty
 class SegmentedVideo(RecordedVideo):
     """Several video files as one video; frame numbers and times continue from file to file.
 
-    Files that cannot be read are skipped with a note, unless none can. A file that is named repeatedly, or copied, is
-    used once.
+    Files that cannot be read are skipped with a note, unless no file can be read. A file that is named repeatedly, or
+    copied, is used once.
 
-    If this is the right video of a pair, the files of the `left` one give the times.
+    If this is the right video of a pair, the files of the `left` video give the times.
 
     Raises VideoError if a named file does not exist, no file can be read, the files belong to several cameras, or
     their images differ in size; while iterating, if a file was deleted or changed in the meantime.
@@ -106,7 +106,7 @@ class SegmentedVideo(RecordedVideo):
         """See `RecordedVideo`."""
         notes = [*self._setup_notes, *self._reading_notes]
         if self._n_notes > _N_NOTES:
-            notes.append(f"{self.path}: {self._n_notes - _N_NOTES} more messages about single files.")
+            notes.append(f"{self.path}: {self._n_notes - _N_NOTES} more messages concern single files.")
         return tuple(notes)
 
     def close(self) -> None:
@@ -232,7 +232,7 @@ class SegmentedVideo(RecordedVideo):
             fps = self._headers[segment.path].fps
             if abs(fps - first_hz) > _RATE_DIFFERENCE * first_hz:
                 yield (
-                    f"{segment.path}: {fps:.4g} frames/s instead of {first_hz:.4g} as in "
+                    f"{segment.path} has {fps:.4g} frames/s instead of {first_hz:.4g} as in "
                     f"{self._segments[0].path.name}; the time stamps are used."
                 )
                 return

@@ -150,7 +150,7 @@ def _table_beside(part: VideoPart) -> SpeedSource:
             except (EgoSpeedError, TelemetryError) as error:
                 notes.append(f"Telemetry is not used: {error}")
                 continue
-            note = f"Ego speed from {path.name} beside the video; --ego-speed off ignores this file."
+            note = f"The ego speed comes from {path.name} beside the video; --ego-speed off ignores this file."
             return SpeedSource(ego=ego, notes=(*notes, *checked, note), files=(path,))
     return SpeedSource(notes=tuple(notes))
 
@@ -198,7 +198,7 @@ def _automatic(parts: Sequence[VideoPart], motion: Callable[[], MotionSeries], n
                 offset_s, sigma_s = source.offset.offset_s, source.offset.sigma_s
                 late = "late" if offset_s >= 0 else "early"
                 shift = f", {abs(offset_s):.2f} +- {sigma_s:.2f} s {late} and corrected"
-            note = f"Ego speed from {telemetry.track.source}{shift}; --ego-speed off ignores this source."
+            note = f"The ego speed comes from {telemetry.track.source}{shift}; --ego-speed off ignores this source."
             return replace(source, notes=(*notes, note))
         notes = (*notes, f"Telemetry is not used: {telemetry.track.source}: {problem}.")
     return SpeedSource(notes=notes)

@@ -144,7 +144,7 @@ def _rows_text(events: Iterable[Event]) -> str:
 
 
 def events_table(events: Sequence[Event], metadata: Mapping[str, str] | None = None) -> pa.Table:
-    """Events as a table in full precision; null = unknown or none, and the metadata of a field contains its unit."""
+    """Events as a table in full precision; null = unknown or none; the metadata of a field contains its unit."""
     import pyarrow as pa
 
     fields = []
@@ -224,7 +224,7 @@ def _events(
 ) -> tuple[Event, ...]:
     """Events in the cells of a file by column; `row_name` returns file and row of a row's number, for messages."""
     if missing := [name for name in needed if name not in cells]:
-        raise EventFileError(f"{path}: expected events with the columns {','.join(needed)}, found no {missing[0]}.")
+        raise EventFileError(f"{path}: expected events with columns {','.join(needed)}, found no column {missing[0]}.")
     rows = range(len(cells["kind"]))
     return tuple(_event({name: values[row] for name, values in cells.items()}, row_name(row)) for row in rows)
 

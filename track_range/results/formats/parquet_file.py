@@ -158,7 +158,7 @@ def read_tracks_parquet(path: Path) -> Columns:
 
 
 def read_tracks_arrows(path: Path) -> tuple[Columns, bool]:
-    """Columns of the complete frames of a tracks.arrows, and whether it ends within one; errors as for Parquet."""
+    """Columns of the complete frames of a tracks.arrows, and whether it ends within a frame; errors as for Parquet."""
     import pyarrow as pa
 
     errors: list[Exception] = []

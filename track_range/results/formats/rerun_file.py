@@ -80,7 +80,7 @@ class RerunWriter:
         self._file = folder / RERUN_FILE
 
     def write(self, result: FrameResult) -> None:
-        """Log the frame before this one, and hold this one."""
+        """Log the previous frame, and hold this frame."""
         self._release()
         self._held = result
 

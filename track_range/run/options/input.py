@@ -187,7 +187,7 @@ class InputOptions(Options):
     @field_validator("stereo", mode="before")
     @classmethod
     def _pair_of_names(cls, pair: Any) -> Any:
-        """Convert names to paths, several files, or the addresses of cameras and streams; one name is both videos."""
+        """Convert names to paths, several files, or addresses of cameras and streams; a single name is for both."""
         if isinstance(pair, str | Path):
             pair = (pair,)
         if isinstance(pair, list | tuple) and len(pair) == 1:
@@ -209,7 +209,7 @@ class InputOptions(Options):
     @field_validator("start_utc", mode="before")
     @classmethod
     def _date_and_time(cls, value: Any) -> Any:
-        """Check the date and time; YAML reads an unquoted one as a datetime."""
+        """Check the date and time; YAML reads an unquoted date as a datetime."""
         if isinstance(value, datetime):
             value = value.isoformat()
         if isinstance(value, str):

@@ -102,7 +102,7 @@ def thresholds(option: str | None, *, otherwise: float) -> tuple[float, tuple[tu
 
 
 def open_tracker_options(reid: Path | None, runtime: Runtime | None = None) -> TrackerOptions:
-    """Options for trackers, with the re-identification network (else ModelError) loaded if there is one."""
+    """Options for trackers, with the re-identification network loaded if there is one; else ModelError."""
     return TrackerOptions(reid=None if reid is None else ReidModel(reid, runtime))
 
 
@@ -125,7 +125,7 @@ class OpenedDetectors:
 
 
 def _state(path: Path) -> tuple[int, int] | None:
-    """Size and time of change of a file; None without one."""
+    """Size and time of change of a file; None if there is none."""
     try:
         status = path.stat()
     except (OSError, ValueError):

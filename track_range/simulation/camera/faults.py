@@ -29,7 +29,7 @@ def right_camera(camera: PinholeCamera, faults: Faults) -> PinholeCamera:
 
 
 def with_blur_and_gain(image: Image, faults: Faults, *, is_right: bool) -> Image:
-    """The image with blur and, if it is the right one, with gain."""
+    """The image with blur and, if it is the right image, with gain."""
     if faults.blur_px > 0:
         image = np.asarray(cv2.GaussianBlur(image, (0, 0), faults.blur_px), np.uint8)
     if is_right and faults.gain != 1.0:
@@ -38,7 +38,7 @@ def with_blur_and_gain(image: Image, faults: Faults, *, is_right: bool) -> Image
 
 
 def kept_frames(faults: Faults, n_frames: int, seed: int, *, is_right: bool) -> list[int]:
-    """Numbers of the frames that a camera does not drop; the first one, from which times count, is among them."""
+    """Numbers of the frames that a camera does not drop; the first frame, from which times count, is never dropped."""
     is_dropped = np.random.default_rng([seed, 8, int(is_right)]).uniform(size=n_frames) < faults.drop_fraction
     is_dropped[:1] = False
     return [int(number) for number in np.flatnonzero(~is_dropped)]

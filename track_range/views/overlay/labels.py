@@ -78,7 +78,7 @@ def shown_name(name: str) -> str:
 
 
 def shown_distance(result: FrameResult, row: int) -> tuple[float, float]:
-    """Fused, else filtered distance with its sigma in metres (predicted boxes have only the latter); NaN = unknown."""
+    """Fused, else filtered distance (as for predicted boxes) with its sigma in metres; NaN = unknown."""
     for name in ("fused", "fused_kf"):
         if name in result.ranges and math.isfinite(result.ranges[name].distance_m[row]):
             return float(result.ranges[name].distance_m[row]), float(result.ranges[name].sigma_m[row])

@@ -272,7 +272,7 @@ class EventDifference:
 
     @property
     def event(self) -> Event:
-        """The event of the first run that has one."""
+        """The event of the first run, else of the second run."""
         event = self.first or self.second
         if event is None:
             raise ValueError("a difference without events")

@@ -85,7 +85,7 @@ def size_grids(figures: Mapping[str, Any], measure: SizeMeasure) -> list[Grid]:
 
 
 def calibration_grids(figures: Mapping[str, Any]) -> list[Grid]:
-    """Calibration of each model over all classes, and by class: the ECE of each model, or all metrics of a single one.
+    """Calibration of each model over all classes, and by class: ECE of each model, or all metrics of a single model.
 
     "score" is the mean score; "chance" the ECE expected of calibrated scores in the same number.
     """

@@ -137,14 +137,14 @@ def geometry_sentences(summary: Summary) -> list[str]:
     rig = (summary.get("inputs") or {}).get("rig")
     calibrations = {
         "rig": f"Calibrated: {rig or 'calibration file in the folder of the video'}.",
-        "focal length": "Focal length given by the user; lens distortion is not corrected.",
+        "focal length": "The focal length was given by the user; lens distortion is not corrected.",
         "estimated": "Uncalibrated: the scale is estimated from the sizes of road users; distances are approximate.",
     }
     sentences = [calibrations.get(str(summary.get("calibration")), "")]
     if scale := summary.get("learnt_scale"):
         sentences.append(
-            f"Baseline estimated from the sizes of {scale['n_tracks']} tracks: {scale['baseline_m']:.2f} m at a focal "
-            f"length of {scale['focal_px']:.0f} px; all distances share a relative error of "
+            f"The baseline was estimated from the sizes of {scale['n_tracks']} tracks: {scale['baseline_m']:.2f} m at "
+            f"a focal length of {scale['focal_px']:.0f} px; all distances share a relative error of "
             f"{100 * scale['relative_sigma']:.0f} % (1 {tables.SIGMA})."
         )
     alignment = summary.get("alignment")
@@ -191,7 +191,7 @@ def _residual(alignment: Mapping[str, Any], summary: Summary) -> str:
     metres = ""
     if focal_px and baseline_m:
         metres = f" ({_FAR_M**2 * residual_px / (focal_px * baseline_m):.2f} m at {_FAR_M:.0f} m)"
-    return f"Residual disparity uncertainty {residual_px:.2f} px{metres}, included in every sigma."
+    return f"The residual disparity uncertainty is {residual_px:.2f} px{metres}, included in every sigma."
 
 
 def sigma_sentences(summary: Summary) -> list[str]:

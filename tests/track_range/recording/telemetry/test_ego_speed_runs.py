@@ -65,7 +65,7 @@ def test_gpx_beside_the_video(cli, drive):
     assert summary["ego_speed"]["median_mps"] == 8.0
     assert summary["ego_speed"]["coverage"] == 1.0
     assert set(speeds) == {"8.000"}
-    assert "Ego speed from drive.gpx" in printed
+    assert "The ego speed comes from drive.gpx" in printed
     assert summary["ego_speed"]["offset_s"] is None
 
 

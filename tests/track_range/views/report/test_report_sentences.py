@@ -71,7 +71,7 @@ def test_residual_disparity_in_metres() -> None:
     [
         ({"calibration": "rig", "inputs": {"rig": "r.yaml"}}, "r.yaml"),
         ({"calibration": "rig"}, "calibration file"),
-        ({"calibration": "focal length"}, "Focal length"),
+        ({"calibration": "focal length"}, "The focal length"),
         ({}, ""),
     ],
 )

@@ -76,7 +76,7 @@ def _check_can_be_written(file: Path) -> None:
 
 
 def _is_replaced(file: Path) -> bool:
-    """Whether a new file takes the place of this one; devices and pipes are written in place."""
+    """Whether a new file takes the place of this file; devices and pipes are written in place."""
     return file.is_file() or not file.exists()
 
 

@@ -84,7 +84,7 @@ def _prepared(
 
 
 class _Display:
-    """Implements `Listener`: shows a progress bar for the current epoch and a line for each finished one."""
+    """Implements `Listener`: shows a progress bar for the current epoch and a line for each finished epoch."""
 
     def __init__(self, n_epochs: int, draw: Callable[[], None]) -> None:
         self._n_epochs, self._draw = n_epochs, draw

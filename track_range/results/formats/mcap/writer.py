@@ -72,7 +72,7 @@ class McapWriter:
         self._first_notes = info.notes
 
     def write(self, result: FrameResult) -> None:
-        """Write the frame before this one, and hold this one."""
+        """Write the previous frame, and hold this frame."""
         self._release()
         time_ns = self._time_ns(result)
         objects = list(track_objects(result, self._info.camera))

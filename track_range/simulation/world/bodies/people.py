@@ -126,7 +126,7 @@ def cyclist(rng: np.random.Generator, size_hwl_m: Size) -> list[Face]:
 
 
 def _trunk(rng: np.random.Generator, rings: list[FloatArray], trousers: Colour, top: Colour) -> list[Face]:
-    """Body of a person through rings of corners, in trousers below the second one."""
+    """Body of a person through rings of corners, in trousers below the second ring."""
     faces = []
     for low, high in pairwise(rings):
         faces += loft(rng, low, high, trousers if low is rings[0] else top, contrast=CLOTH_CONTRAST)

@@ -6,7 +6,7 @@ camera to a point of it, at 0.3 to 0.9 of its distance:
     camera ------- occluder -------- road user        x_occluder = r x_point,  z_occluder = z_camera + r (z - z_camera)
 
 Before and after these times the camera passes, and the occluders cover other parts. An eighth of the road users have
-no occluder. A vehicle ahead in the ego lane may hide another one, at the speed of the ego vehicle.
+no occluder. A vehicle ahead in the ego lane may hide another vehicle, at the speed of the ego vehicle.
 """
 
 from __future__ import annotations

@@ -55,7 +55,7 @@ def column(columns: Columns, name: str) -> FloatArray:
 
 
 def packed(values: FloatArray, ticks_per_unit: float) -> str:
-    """(N,) values as text: rounded to ticks, each as the difference from the last finite one, empty where NaN."""
+    """(N,) values as text: rounded to ticks, each as the difference from the last finite value, empty where NaN."""
     known = np.isfinite(values)
     steps = np.diff(np.round(values[known] * ticks_per_unit), prepend=0.0).astype(np.int64)
     cells = np.full(len(values), "", dtype=object)
