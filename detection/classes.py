@@ -79,7 +79,7 @@ class ClassNameError(UserError, ValueError):
 
 
 def class_key(name: str) -> str:
-    """A class name as `ROAD_CLASS_OF` has it: lower case, with spaces for hyphens and underscores, without TYPE_."""
+    """A class name in the form of `ROAD_CLASS_OF`: lower case, spaces for hyphens and underscores, without TYPE_."""
     key = str(name).strip().lower().replace("--", ".")  # Mapillary writes object--vehicle--car
     return " ".join(re.sub(r"[_\-\s]+", " ", key).split()).removeprefix("type ")
 
@@ -126,7 +126,7 @@ def map_to_road_classes(names: Sequence[str]) -> IntArray:
 
 
 def fully_known(names: Sequence[str]) -> BoolArray:
-    """(8,) road classes that a list of class names covers as a whole, and not only in part, such as stop signs."""
+    """(8,) road classes that a list of class names covers as a whole; stop signs are only a part of their class."""
     kinds = {kind for names_of_class in _KINDS.values() for kind in names_of_class}
     road = map_to_road_classes([name for name in names if class_key(name) not in kinds])
     return np.isin(np.arange(len(ROAD_CLASSES)), road)

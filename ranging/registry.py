@@ -41,7 +41,7 @@ def method_notes() -> tuple[str, ...]:
 
 
 def origins() -> dict[str, str]:
-    """Where the methods that are not built in come from, by name: the entry point, or the function that creates it."""
+    """Origin of each method that is not built in, by name: the entry point, or the function that creates the method."""
     created_by = {name: method.create for name, method in METHODS.registered.items()}
     made = {name: f"{make.__module__}:{getattr(make, '__qualname__', '')}" for name, make in created_by.items()}
     return _installed()[2] | made

@@ -24,7 +24,7 @@ _MAX_DENSE = 128 * 128  # size up to which one assignment is faster than matchin
 
 
 class Assignment:
-    """Pairs of N tracks and M detections, collected in stages; each stage matches what earlier ones left unmatched."""
+    """Pairs of N tracks and M detections, collected in stages; each stage matches what is left of earlier stages."""
 
     def __init__(self, n_tracks: int, n_detections: int) -> None:
         self._stages: list[tuple[IntArray, IntArray]] = []

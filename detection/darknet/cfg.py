@@ -88,7 +88,7 @@ class CfgSection:
 
 
 def read_sections(path: Path, known: Collection[str]) -> list[CfgSection]:
-    """The sections of a cfg, [net] and then `known` sections; ModelError for an unreadable file or unknown sections."""
+    """The sections of a cfg: [net], then sections in `known`; ModelError for an unreadable file or unknown sections."""
     content = read_bytes(path, ModelError, "a Darknet cfg", max_bytes=MAX_TEXT_BYTES)
     text = content.decode("utf-8-sig", errors="replace")  # comments may have any encoding
     sections: list[CfgSection] = []

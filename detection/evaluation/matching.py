@@ -4,7 +4,7 @@ In each image and class, detections are matched greedily in order of decreasing 
 the largest IoU; labels to ignore are matched only if no other label is left. A detection matched with such a label is
 neither a true nor a false positive.
 
-In a bin of sizes, labels outside of the bin are ignored, and unmatched detections outside of the bin are neither true
+In a bin of sizes, labels outside the bin are ignored, and unmatched detections outside the bin are neither true
 nor false positives. (Lin et al., "Microsoft COCO", ECCV 2014; cocodataset.org/#detection-eval.)
 """
 
@@ -50,7 +50,7 @@ class ClassMatches:
 
     score: FloatArray  # (K,) confidence
     is_hit: BoolArray  # (10, K) true positive: matched with a label
-    is_void: BoolArray  # (10, K) not counted: matched with a label to ignore, or unmatched and outside of the size bin
+    is_void: BoolArray  # (10, K) not counted: matched with a label to ignore, or unmatched and outside the size bin
     n_boxes: int  # number of labels, without those to ignore
 
     @classmethod

@@ -1,6 +1,6 @@
 """Average precision and recall by size of object: COCO's three bins of area, and four bins of height.
 
-As in pycocotools, labels outside of a bin are ignored, and unmatched detections outside of the bin count neither as
+As in pycocotools, labels outside a bin are ignored, and unmatched detections outside the bin count neither as
 true nor as false positives. The area is the area of the box (COCO's own labels have the area of the object's outline)
 in square pixels of the image, before it is scaled to the network's input. An object at the limit of two bins is in the
 upper one; pycocotools counts it in both.

@@ -41,7 +41,7 @@ class VideoFacts:
         return "rectified" if self.is_rectified else "original"
 
     def completed_by(self, stated: VideoFacts, path: Path) -> VideoFacts:
-        """These facts, completed by the facts that a file states; LabelFileError if its images have another size."""
+        """These properties, completed by properties from a file; LabelFileError if its images have another size."""
         if stated.size_px is not None and self.size_px not in (None, stated.size_px):
             video_size, file_size = ("x".join(map(str, size or ())) for size in (self.size_px, stated.size_px))
             raise LabelFileError(

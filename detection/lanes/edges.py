@@ -79,7 +79,7 @@ def _first_row(horizon_px: float, height_px: int) -> int:
 
 
 def _bars(channel: npt.NDArray[Any], reach: int) -> Float32Array:
-    """(H, W) difference of each pixel to the brighter of its neighbours at `reach` pixels; 0 below a threshold."""
+    """(H, W) difference of each pixel from the brighter of its neighbours at `reach` pixels; 0 below a threshold."""
     response = np.zeros_like(channel)
     if channel.shape[1] <= 2 * reach:
         return response

@@ -89,7 +89,7 @@ def _pixels(markings: Markings, state: LaneState, side: float, number: int, gate
 def _updated(
     markings: Markings, expected: LaneState, prior: FloatArray, *, about: LaneState, seen: tuple[BoolArray, BoolArray]
 ) -> LaneState:
-    """One iteration: the state from the prior (information `prior`) and pixels weighted by residuals from `about`."""
+    """One iteration: the state from the prior (information `prior`) and pixels weighted by residuals at `about`."""
     information = prior
     pull = information @ expected.mean
     for side, is_on_line in zip(SIDES, seen, strict=True):
@@ -200,7 +200,7 @@ def _is_lane(fit: LaneFit) -> bool:
 
 
 def _jump(state: LaneState, expected: LaneState) -> float:
-    """Distance of two lanes in a near row, in lane widths."""
+    """Distance between two lanes in a near row, in lane widths."""
     y_px: FloatArray = np.array([0.9 * state.image_hw[0]])
     width_px = max(float(expected.width_px(y_px)[0]), 1.0)
     return max(abs(float((state.x_px(y_px, side) - expected.x_px(y_px, side))[0])) for side in SIDES) / width_px

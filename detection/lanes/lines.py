@@ -60,7 +60,7 @@ class LaneLines:
         return y_px, math.sqrt(max(variance_px2, 0.0)) / (slope + 2.0 * y_px * curvature)
 
     def vanishing_point_px(self) -> tuple[float, float] | None:
-        """(x, y) in which the two lines meet, on the horizon of a flat road; None if they do not meet.
+        """(x, y) where the two lines meet, on the horizon of a flat road; None if they do not meet.
 
         For curved lines, which have the same curvature, it is where their distance becomes 0.
         """

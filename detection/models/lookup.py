@@ -39,7 +39,7 @@ class ModelRow(NamedTuple):
 
 
 def models_folder() -> Path:
-    """Folder of downloaded models: $TRACK_RANGE_CACHE/models, or in the cache folder; ModelError without a home."""
+    """Folder of downloaded models: $TRACK_RANGE_CACHE/models, else in the cache folder; ModelError without a home."""
     folder = cache_folder()
     if folder is None:
         raise ModelError("there is no home folder for downloaded models; set TRACK_RANGE_CACHE to a folder.")

@@ -64,7 +64,7 @@ class ModelMetadata:
         self._attributes = attributes
 
     def get(self, key: str, default: Any, source: str) -> Attribute:
-        """The attribute `key`; without it, `default` with its `source`."""
+        """The attribute `key`; if it is missing, `default` with its `source`."""
         return self._attributes.get(key) or Attribute(default, source)
 
 

@@ -173,7 +173,7 @@ def _checked_inputs(path: Path, inputs: Sequence[Any]) -> tuple[Any, Any | None]
 
 @contextmanager
 def _library_errors(path: Path, problem: str) -> Iterator[None]:
-    """Context of a library, which may raise dozens of unrelated types for a broken file; all become ModelError."""
+    """Context of a library that may raise dozens of unrelated types for a broken file; all become ModelError."""
     try:
         yield
     except Exception as error:

@@ -74,7 +74,7 @@ def first_line(error: Exception, path: Path) -> str:
 
 
 def _session(path: Path, devices: list[str], n_threads: int) -> Any:
-    """Session for devices in order of preference. Threads do not spin, which slows down other work on the machine."""
+    """Session for devices in order of preference. Threads do not spin, since spinning slows down other programs."""
     options = ort.SessionOptions()
     options.intra_op_num_threads = n_threads or n_limited_cores()
     options.inter_op_num_threads = 1

@@ -38,7 +38,7 @@ def silent_conversion(path: Path, verb: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def atomic_output(out: Path) -> Iterator[Path]:
-    """Context of a temporary folder; at the end its file named as `out` replaces `out`, or ModelError is raised."""
+    """Context of a temporary folder; at the end, its file with the name of `out` replaces `out`, else ModelError."""
     if not out.parent.is_dir():
         raise ModelError(f"{out}: expected an existing folder, {out.parent} does not exist.")
     with writable(out, ModelError), atomic_folder(out) as folder:

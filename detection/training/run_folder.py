@@ -42,7 +42,7 @@ def save_checkpoint(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def load_checkpoint(path: Path) -> dict[str, Any]:
-    """The content of a checkpoint, without executing code; CheckpointError if it is damaged or another file."""
+    """The content of a checkpoint, without executing code; CheckpointError if it is damaged or no checkpoint."""
     if not path.is_file():
         raise CheckpointError(f"{path}: no such checkpoint.")
     try:

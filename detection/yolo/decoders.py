@@ -158,7 +158,7 @@ class GridCells:
     def of(
         cls, input_hw: tuple[int, int], strides_px: Sequence[int], n_anchors: int = 1, *, is_rounded_up: bool = False
     ) -> GridCells:
-        """The cells of an input of this size; without `is_rounded_up`, all strides divide it."""
+        """The cells of an input of this size; unless `is_rounded_up`, all strides divide the size."""
         cells, strides = [np.zeros((0, 2))], [np.zeros((0, 2))]
         for s in strides_px:
             grid_hw = [-(-side // s) if is_rounded_up else side // s for side in input_hw]

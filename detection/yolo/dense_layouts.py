@@ -123,7 +123,7 @@ _READINGS = {  # family, code, input format by name
 
 @dataclass(frozen=True, slots=True)
 class _Kind:
-    """A shape of outputs, with the names of its readings, the usual one first."""
+    """A shape of outputs, with the names of its readings, the usual reading first."""
 
     names: str
     has_objectness: bool = False

@@ -59,7 +59,7 @@ class NetworkOutputs:
         return sum((height // stride) * (width // stride) for stride in strides_px)
 
     def grid_strides(self, n: int, per_cell: int = 1, *, is_rounded_up: bool = False) -> tuple[int, ...] | None:
-        """Strides of the grids that have `n` boxes in total, `per_cell` for each cell; None if no grids have."""
+        """Strides of the grids that have `n` boxes in total, `per_cell` for each cell; None for any other `n`."""
         counts = {self.n_cells(strides, is_rounded_up=is_rounded_up): strides for strides in STRIDES_PX[::-1]}
         return counts.get(n // per_cell) if n % per_cell == 0 else None
 

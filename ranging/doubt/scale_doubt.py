@@ -33,7 +33,7 @@ class ScaleDoubt(NamedTuple):
         return max((abs(1.0 - 1.0 / factor) + self.sigma / factor for factor in factors), default=0.0)
 
     def sentence(self, baseline_m: float | None) -> str:
-        """What is in doubt, with the mistakes that fit, and the evidence."""
+        """The value in doubt, with the mistakes that fit, and the evidence."""
         doubts = "; or ".join(self._cause(*cause, baseline_m) for cause in self.causes)
         return f"Scale in doubt: {doubts}. Evidence: {self.evidence}. Check the doubtful value."
 
@@ -89,7 +89,7 @@ def causes_of(error_sources: Sequence[str], *, has_rig: bool) -> frozenset[Cause
 
 
 class Agreement(NamedTuple):
-    """What a drive shows about the baseline."""
+    """Evidence of a drive about the baseline."""
 
     factor: float  # of the given baseline and that of the drive
     sigma: float  # relative standard deviation of the drive's

@@ -89,7 +89,7 @@ def within_drives(boxes: BoxSet, train: BoxSet, fit: Fitter) -> MethodColumn:
 
 
 def held_out(boxes: BoxSet, train: BoxSet, fit: Fitter) -> MethodColumn:
-    """Distances and sigmas of `boxes` by a method fitted to `train`, which has none of the same images."""
+    """Distances and sigmas of `boxes` by a method fitted to `train`, which has no image in common with `boxes`."""
     return fit(train)(boxes)
 
 

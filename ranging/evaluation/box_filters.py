@@ -91,7 +91,7 @@ def _kalman_filter(first_m: float) -> Any:
 
 
 def filtered(boxes: BoxSet, column: MethodColumn, filter_name: FilterName) -> tuple[MethodColumn, FloatArray]:
-    """Filtered distances of a method and (N,) closing speeds in m/s; for "none", unfiltered ones without speeds."""
+    """Filtered distances of a method and (N,) closing speeds, m/s; for "none", unfiltered distances without speeds."""
     if filter_name == "none":
         return column, np.full(len(boxes), np.nan)
     is_given = np.isfinite(column.sigma_m)

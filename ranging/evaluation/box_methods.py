@@ -195,7 +195,7 @@ def size_fitter(method: RangingMethod, options: MethodOptions) -> box_evaluation
 
 
 def as_frames(boxes: BoxSet, class_id: IntArray) -> Iterator[tuple[IntArray, Tracks, Frame, bool]]:
-    """Row indices, tracks, blank image of the right size, and whether it is the first of a sequence, for each frame.
+    """For each frame: row indices, tracks, blank image of the right size, and whether the frame starts a sequence.
 
     Labels without identities belong to separate images, each of which is a sequence.
     """

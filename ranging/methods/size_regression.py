@@ -50,7 +50,7 @@ def incomplete_sigma(xyxy_px: FloatArray, is_cut: BoolArray) -> FloatArray:
 
 
 class SizeRanger(Ranger):
-    """Ranges observed boxes by size, if cut or hidden at a side by height only; not boxes cut at the top or bottom.
+    """Ranges observed boxes by size, or by height alone if a side is cut or hidden; not boxes cut at top or bottom.
 
     A ranger belongs to one drive: it learns the ground plane and the body types of its tracks (`DriveState`).
 

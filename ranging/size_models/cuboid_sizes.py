@@ -148,7 +148,7 @@ class CuboidSizes:
     def _body_likelihood(
         self, body: IntArray, log_fraction: FloatArray, by_size: SizeMixture, grid: LogGrid, likelihood: FloatArray
     ) -> FloatArray:
-        """(B, N) log likelihoods of all body types by size and ground; 0 = the most likely one, -inf = impossible."""
+        """(B, N) log likelihoods of all body types by size and ground; 0 = the most likely type, -inf = impossible."""
         (m, n), n_bodies = body.shape, len(self._tables.class_name)
         by_term = np.vecdot(grid.by_term, likelihood)
         index = by_size.body.T * n + np.arange(n)

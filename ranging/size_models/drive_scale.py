@@ -236,7 +236,7 @@ def _averaged(known: _Tracks, frame: _Tracks) -> _Tracks:
 
 
 def _rows(track_id: IntArray, known: IntArray) -> tuple[IntArray, BoolArray]:
-    """(N,) row of each track in `known` (K,), 0 if it is not there, and whether it is there."""
+    """(N,) row of each track in `known` (K,), 0 for an unknown track, and whether the track is known."""
     if not len(known):
         return np.zeros(len(track_id), np.int64), np.zeros(len(track_id), np.bool_)
     is_same = track_id[:, None] == known
@@ -244,6 +244,6 @@ def _rows(track_id: IntArray, known: IntArray) -> tuple[IntArray, BoolArray]:
 
 
 def _systematic_variance(by_size: Ranges) -> FloatArray:
-    """(N,) relative systematic variance of distances by size; all of it if the parts are unknown."""
+    """(N,) relative systematic variance of distances by size; the entire variance if its parts are unknown."""
     sigma_m = by_size.sigma_m if by_size.sigma_systematic_m is None else by_size.sigma_systematic_m
     return np.asarray((sigma_m / by_size.distance_m) ** 2)

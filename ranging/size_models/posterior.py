@@ -235,7 +235,7 @@ def ground_likelihood(
 def _contact_likelihood(
     residual2: FloatArray, variance: FloatArray, prior: GroundPrior, per_height2: FloatArray
 ) -> FloatArray:
-    """Likelihood of squared residuals of contact points at the height of the road and off it (kerbs).
+    """Likelihood of squared residuals of contact points at the height of the road and at other heights (kerbs).
 
     `variance` excludes the height of the contact points, whose variance is multiplied by `per_height2`.
     """

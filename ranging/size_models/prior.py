@@ -96,7 +96,7 @@ class SizePrior(BodySizes):
 
     @property
     def components(self) -> tuple[tuple[float, BodySizes], ...]:
-        """Probability and sizes of each body type; one for a class without body types."""
+        """Probability and sizes of each body type; a class without body types has one type."""
         return tuple((body.share, body) for body in self.bodies) or ((1.0, self),)
 
     def faults(self) -> str:

@@ -292,7 +292,7 @@ class CollisionWarning:
     def _alarm(
         self, last: _WarningState, time_s: float, may_start: BoolArray, may_end: BoolArray, is_uncertain: BoolArray
     ) -> tuple[BoolArray, FloatArray]:
-        """Whether each alarm is on, and since when the condition for its next change holds; NaN = it does not."""
+        """Whether each alarm is on, and since when the condition for its next change holds; NaN = it does not hold."""
         settings, is_on = self.settings, last.is_on > 0
         needed_s = np.where(is_uncertain, settings.uncertain_on_s, settings.min_on_s)
         needed_s = np.where(is_on, settings.min_off_s, needed_s)

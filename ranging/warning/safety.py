@@ -167,7 +167,7 @@ def _lane_index(
 def post_encroachment_s(
     ego: FloatArray, track: FloatArray, *, half_width_m: float, settings: WarningSettings | None = None
 ) -> float:
-    """PET of a track whose path crosses the ego path; NaN = no crossing, or one of the two did not pass it.
+    """PET of a track whose path crosses the ego path; NaN = no crossing, or the two have not both passed it.
 
     `ego` (M, 3) and `track` (N, 3) are times in s with positions in m in the frame `map`, of the camera and of the
     object's middle, in the order of time. The place of the encounter is where the track is nearer to the ego path than

@@ -55,7 +55,7 @@ class EgoSpeed:
     positions_deg: FloatArray | None = None  # (N, 2) latitude and longitude, to check the speeds; None = unknown
 
     def along(self, yaw_deg: float) -> EgoSpeed:
-        """The speed along an axis that is `yaw_deg` to the side of the camera's."""
+        """The speed along an axis that is `yaw_deg` to the side of the camera's axis."""
         fraction = math.cos(math.radians(yaw_deg))
         sigma_mps = abs(fraction) * self.speed_sigma_mps
         return replace(self, speed_mps=fraction * self.speed_mps, speed_sigma_mps=sigma_mps)

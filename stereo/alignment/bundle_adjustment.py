@@ -114,7 +114,7 @@ class _PointBlocks(NamedTuple):
 
 
 def fit_bundle(observed: Observations, start: Bundle, rig: StereoRig) -> BundleFit:
-    """The bundle with the minimum robust cost, from a start within a few pixels of it; `rig` is rectified.
+    """The bundle with the minimum robust cost, from a start within a few pixels of the minimum; `rig` is rectified.
 
     The points are eliminated; the first frame's pose is fixed. With damping of the diagonals of U and V,
 

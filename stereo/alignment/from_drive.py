@@ -77,7 +77,7 @@ class DriveAlignment:
         return len(self._points) + sum(segment.n_frames for *_, segment in self._segments)
 
     def copy(self) -> DriveAlignment:
-        """A copy for an estimate in between: `estimate` ends the segment that is in progress."""
+        """A copy for an intermediate estimate: `estimate` ends the segment that is in progress."""
         copied = copy(self)
         copied._segments, copied._reasons = list(self._segments), list(self._reasons)
         copied._points, copied._matched = list(self._points), list(self._matched)

@@ -51,7 +51,7 @@ class InitialBundle(NamedTuple):
 
 
 class _Step(NamedTuple):
-    """Points of one frame in metres (N, 3), their pixels in the next one (N, 2), and their cells (N,) of the image."""
+    """Points of one frame in metres (N, 3), their pixels in the next frame (N, 2), and their image cells (N,)."""
 
     points_m: FloatArray
     xy_px: FloatArray
@@ -236,7 +236,7 @@ def _motion(step: _Step, camera: PinholeCamera) -> _Motion | None:
 def _refined(
     step: _Step, camera: PinholeCamera, motion: _Motion, max_errors_px: Sequence[float] = _REFINING_ERRORS_PX
 ) -> _Motion | None:
-    """The motion of the points that agree with `motion`; None if they are too few."""
+    """The motion of the points that agree with `motion`; None if there are too few."""
     for max_error_px in max_errors_px:
         agrees = _agrees(step.points_m, step.xy_px, motion, camera, max_error_px)
         if agrees.sum() < _MIN_INLIERS:

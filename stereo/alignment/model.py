@@ -93,12 +93,12 @@ class Alignment:
         return float(round(self.offset_px)) if abs(self.offset_px) > _MAX_OFFSET_PX else 0.0
 
     def after_shift(self) -> Alignment:
-        """The correction of disparities that remains in images with the right one shifted by `shift_px`."""
+        """The correction of disparities that remains after the right image is shifted by `shift_px`."""
         return replace(self, offset_px=self.offset_px - self.shift_px)
 
     @property
     def is_correcting(self) -> bool:
-        """Whether it changes disparities."""
+        """Whether the correction changes disparities."""
         return self.offset_px != 0.0 or self.curvature_px != 0.0 or self.slope_px != 0.0
 
     @property
@@ -182,7 +182,7 @@ class RightView:
         return self if self.rows_px(camera) > MAX_ROW_OFFSET_PX else RightView()
 
     def matrix(self, camera: PinholeCamera) -> FloatArray:
-        """(3, 3) M from directions in the rectified right image to corrected ones."""
+        """(3, 3) M from directions in the rectified right image to corrected directions."""
         pitch_rad = math.atan(self.row_offset_px / camera.fx_px)
         rotation = cv2.Rodrigues(np.array([pitch_rad, math.radians(self.yaw_deg), math.radians(self.roll_deg)]))[0]
         return np.asarray(rotation @ np.diag([1 / self.focal_ratio, 1 / self.focal_ratio, 1.0]), np.float64)

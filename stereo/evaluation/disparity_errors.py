@@ -95,7 +95,7 @@ Fit = Callable[..., Alignment]  # `stereo.alignment.from_reference.fit_reference
 
 
 def left_out_alignments(column: MatcherColumn, objects: Objects, fit: Fit, *, seed: int = 0) -> dict[int, Alignment]:
-    """Alignment by pair, each fitted to all pairs outside of its fold (cross-validation).
+    """Alignment by pair, each fitted to all pairs outside its fold (cross-validation).
 
     Raises RigError if too few objects are outside a fold.
     """

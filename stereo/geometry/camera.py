@@ -24,12 +24,12 @@ _HALVED_PX = {(640, 720), (960, 1080), (1280, 1440), (1296, 1944), (1920, 2160)}
 
 
 def pixel_aspect_of(size_px: tuple[int, int], stated: float | None) -> float:
-    """Width / height of the pixels of recorded images, from what their file states (None = nothing) and their size."""
+    """Width / height of the pixels of recorded images, from the value in their file (None = none) and their size."""
     return 2.0 if stated in (None, 1.0) and size_px in _HALVED_PX else stated or 1.0
 
 
 def square_size(size_px: tuple[int, int], pixel_aspect: float) -> tuple[int, int]:
-    """(width, height) of images with square pixels for images whose pixels are `pixel_aspect` times as wide as high."""
+    """(width, height) after resampling images with pixels `pixel_aspect` times as wide as high to square pixels."""
     width_px, height_px = size_px
     return round(width_px * max(pixel_aspect, 1.0)), round(height_px * max(1.0 / pixel_aspect, 1.0))
 

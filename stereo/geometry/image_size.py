@@ -30,7 +30,7 @@ _ANALOGUE_PX = (352, 704, 720, 960), (240, 288, 480, 576)  # widths and heights 
 
 
 class FocalAlternative(NamedTuple):
-    """Another reading of a calibration or focal length."""
+    """Another possible meaning of a calibration or focal length."""
 
     factor: float  # by which the distances are too long if it holds
     cause: str  # what would have happened, for messages
@@ -127,7 +127,7 @@ def fitted_rig(
 
 
 def analogue_alternatives(size_px: tuple[int, int]) -> tuple[FocalAlternative, ...]:
-    """Pixel aspects of analogue video that states none; its pixels are taken as square.
+    """Pixel aspects of analogue video whose file states no aspect; its pixels are taken as square.
 
     Distances by width are then too long by the pixel aspect, and distances by height are right: the factor is in
     between.
@@ -164,5 +164,5 @@ def is_size_of(camera: PinholeCamera, size_px: tuple[int, int]) -> bool:
 
 
 def has_aspect_of(camera: PinholeCamera, size_px: tuple[int, int]) -> bool:
-    """Whether images of this size have the aspect ratio of the camera's."""
+    """Whether images of this size have the aspect ratio of the images of the camera."""
     return abs((size_px[0] / camera.width_px) / (size_px[1] / camera.height_px) - 1) <= _ASPECT_TOLERANCE

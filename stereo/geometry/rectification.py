@@ -35,7 +35,7 @@ _FOCAL_SCATTER = 0.1  # relative difference of focal lengths of unequal cameras;
 _MIN_REDUCTION = 1.3  # factor by which the right image is reduced above which it is smoothed first, against aliasing
 _N_BOX_STEPS = 4  # number of fixed-point steps of `recorded_boxes`; each reduces the error about ten times
 N_OUTLINE = 8  # number of points of each edge of a box in the recorded image, where edges are curves
-_OUTSIDE_PX = -100.0  # source of the pixels that the lens does not image; black, as everything outside of the image
+_OUTSIDE_PX = -100.0  # source of the pixels that the lens does not image; black, as everything outside the image
 
 
 class _UndistortedImages:
@@ -46,7 +46,7 @@ class _UndistortedImages:
     is_turned = False  # whether the images of the video are turned by 180 degrees first
 
     def _turned(self, xy_px: FloatArray) -> FloatArray:
-        """Points (N, 2) or boxes (N, 4) of the video turned by 180 degrees, if its images are; the same in reverse."""
+        """Points (N, 2) or boxes (N, 4) of the video turned by 180 degrees if its images are turned; and in reverse."""
         if not self.is_turned:
             return xy_px
         last_px = np.array(self.recorded_size_px, np.float64) - 1

@@ -63,7 +63,7 @@ class StereoRig:
 
     @property
     def baseline_m(self) -> float:
-        """Distance between the cameras, metres; negative if the right camera is to the left of the left one."""
+        """Distance between the cameras, metres; negative if the right camera is to the left of the left camera."""
         translation = self.right_from_left[:3, 3]
         return float(np.copysign(np.linalg.norm(translation), -translation[0]))
 

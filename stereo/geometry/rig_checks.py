@@ -67,7 +67,7 @@ class RigCalibration:
         return rig
 
     def of_size(self, size_px: tuple[int, int] | None) -> RigCalibration:
-        """The cameras of images of `size_px` = (width, height), else of larger images of this shape; None = first."""
+        """The cameras of images of `size_px` = (width, height), else of larger images of this shape; None = any."""
         if size_px is None or not self.others:
             return self
         modes = (self, *self.others)

@@ -23,7 +23,7 @@ _MAX_RATIOS = 600  # largest number of stored ratios: the last ones
 
 
 class CameraHeight:
-    """Estimator of the camera height from speeds that were measured with `assumed_m`; the state is the instance's.
+    """Estimator of the camera height from speeds measured with `assumed_m`; the state belongs to the instance.
 
     `shared_sigma` is the relative error that all frames share.
     """

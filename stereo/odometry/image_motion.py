@@ -273,7 +273,7 @@ def _sampson(
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """(3, N) cross products of columns; `np.cross` takes five times as long for so few."""
+    """(3, N) cross products of columns; `np.cross` takes five times as long for so few columns."""
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 

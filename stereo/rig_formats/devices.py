@@ -266,7 +266,7 @@ def _rs_numbers(text: str) -> list[float]:
 
 
 def _rs_camera(body: str) -> PinholeCamera | None:
-    """The camera of the lines of one stream and size; None if it lacks a number."""
+    """The camera of the lines of one stream and size; None if a number is missing."""
     lines = re.findall(r"^\s*(\w+)\s*:([^\n]*)", body.lower(), re.MULTILINE)
     values = {name: _rs_numbers(line) for name, line in reversed(lines)}  # of several lines, the first
     names = ("fx", "fy", "ppx", "ppy", "width", "height")

@@ -107,7 +107,7 @@ def save_camera(
     mounting: Mounting | None = None,
     accuracy: RigAccuracy | None = None,
 ) -> None:
-    """Write one camera as rig.yaml, with `comments` as its first lines; a calibration for --mono.
+    """Write the calibration of one camera, for --mono, as rig.yaml, with `comments` as its first lines.
 
     `mounting` and `accuracy` are stored too, if they are given. Raises RigError if the camera is implausible, or the
     file cannot be written.

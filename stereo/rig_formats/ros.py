@@ -212,7 +212,7 @@ def _pair(first: _Camera, second: _Camera, source: Path) -> RigCalibration:
 
 
 def _assumption(*, is_rectified: bool) -> str:
-    """Which images the calibration is for, for notes."""
+    """The kind of images that the calibration is for, in words for notes."""
     if is_rectified:
         return "the images are taken as rectified"
     return "the images are taken as raw (image_raw); if they are rectified (image_rect), remove K and D from the YAML"

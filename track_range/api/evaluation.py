@@ -18,7 +18,7 @@ from track_range.ranging.evaluation.settings import RangeEvaluationSettings
 
 @KeywordsInErrors(RangeEvaluationSettings)
 def evaluate_ranges(labels: str | Path, calib: str | Path, **options: Any) -> dict[str, Any]:
-    """Distance errors of the methods that need only boxes, on KITTI labels; as `track-range evaluate ranges --json`.
+    """Distance errors of the methods that need only boxes, on KITTI labels; like `track-range evaluate ranges --json`.
 
     Args:
         labels: folder of KITTI tracking labels, NAME.txt for each sequence.
@@ -34,7 +34,7 @@ def evaluate_ranges(labels: str | Path, calib: str | Path, **options: Any) -> di
 
 @KeywordsInErrors(MotionEvaluationSettings)
 def evaluate_motion(labels: str | Path, **options: Any) -> dict[str, Any]:
-    """Errors of closing speeds, speeds over ground and times to collision; as `track-range evaluate motion --json`.
+    """Errors of closing speeds, speeds over ground and times to collision; like `track-range evaluate motion --json`.
 
     Args:
         labels: folder of KITTI tracking labels, or the labels of another data set (`data="nuscenes"`).
@@ -49,7 +49,7 @@ def evaluate_motion(labels: str | Path, **options: Any) -> dict[str, Any]:
 
 @KeywordsInErrors(StereoEvaluationSettings)
 def evaluate_stereo(pairs: str | Path, **options: Any) -> dict[str, Any]:
-    """Distance errors of stereo matchers on pairs with true disparities; as `track-range evaluate stereo --json`.
+    """Distance errors of stereo matchers on pairs with true disparities; like `track-range evaluate stereo --json`.
 
     Example:
         >>> import track_range as tr
@@ -70,7 +70,7 @@ def evaluate_stereo(pairs: str | Path, **options: Any) -> dict[str, Any]:
 
 @KeywordsInErrors(TrackEvaluationSettings)
 def evaluate_tracks(truth: str | Path, results: str | Path, **options: Any) -> dict[str, Any]:
-    """HOTA, CLEAR and identity metrics of tracks against ground truth; as `track-range evaluate tracks --json`.
+    """HOTA, CLEAR and identity metrics of tracks against ground truth; like `track-range evaluate tracks --json`.
 
     Args:
         truth: ground truth in MOT or KITTI format: a file, or a folder of sequences.
@@ -86,7 +86,7 @@ def evaluate_tracks(truth: str | Path, results: str | Path, **options: Any) -> d
 
 @KeywordsInErrors(EventEvaluationSettings)
 def evaluate_events(events: str | Path, truth: str | Path, **options: Any) -> dict[str, Any]:
-    """Hits, misses, false alarms and lead times of warnings or events; as `track-range evaluate events --json`.
+    """Hits, misses, false alarms and lead times of warnings or events; like `track-range evaluate events --json`.
 
     Args:
         events: events.csv or events.parquet of a run, or its folder.

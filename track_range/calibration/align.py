@@ -37,7 +37,7 @@ _N_ROW_PAIRS = 12  # number of image pairs on which the row offset is measured; 
 
 @dataclass(frozen=True, slots=True)
 class BaselineCheck:
-    """What road users and the speed of the camera show about the baseline."""
+    """Evidence about the baseline from road users and the speed of the camera."""
 
     sentence: str  # for the user
     figures: dict[str, Any]  # as in summary.json of a run

@@ -114,7 +114,7 @@ BoardImages = ImageFiles | VideoShots  # source of shots, which can be iterated 
 
 
 def board_images(sources: Sequence[str], layout: LayoutOption = "auto") -> BoardImages:
-    """The images of one camera from one source, or of two from two sources, which are equal if images have a `layout`.
+    """The images of one camera from one source, or of two cameras from two sources (equal if images have a `layout`).
 
     Raises ImageFileError for a pattern or folder without images, sources of different kinds, or images that cannot be
     paired, and VideoError if a video cannot be read.
@@ -133,7 +133,7 @@ def board_images(sources: Sequence[str], layout: LayoutOption = "auto") -> Board
 
 
 def _layout(source: str, files: Sequence[Path], layout: LayoutOption) -> StereoLayout:
-    """The layout of images that show two cameras; wide images have them side by side, as few points of boards match."""
+    """The layout of images of two cameras; wide images are taken as side by side, as few points of boards match."""
     if layout != "auto" and layout != "tracks":
         return layout
     paths = files[:_N_COMPARED] if layout == "auto" else ()

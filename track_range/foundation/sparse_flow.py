@@ -124,7 +124,7 @@ def tracked_corners(
     n_levels: int,
     start: FloatArray32 | None = None,
 ) -> tuple[FloatArray32, BoolArray]:
-    """Corners (N, 2) found in another image by pyramidal Lucas-Kanade (Bouguet, 2000), and (N,) whether they were.
+    """Corners (N, 2) in another image by pyramidal Lucas-Kanade (Bouguet, 2000), and (N,) whether each was found.
 
     The search begins at the points `start` (N, 2), by default at the corners, with `n_levels` above the images.
     """
@@ -175,7 +175,7 @@ class BackgroundFlow:
         self._needs: set[tuple[int, float]] = set()
 
     def add(self, image: Image, xyxy_px: FloatArray, time_s: float = math.nan) -> None:
-        """Make an image, BGR or grey, the last frame, unless the last one has the same time; NaN = unknown.
+        """Use an image, BGR or grey, as the last frame, unless the last frame has the same time; NaN = unknown.
 
         Boxes `xyxy_px` (N, 4) of road users are not background; invalid boxes are ignored.
         """

@@ -106,7 +106,7 @@ class DetectionStage:
 
 
 class Ego(NamedTuple):
-    """What a frame shows of the camera's own motion."""
+    """The camera's own motion as one frame shows it."""
 
     motion: EgoMotion  # speed and yaw rate, NaN = unknown
     road: RoadView | None = None  # the road in the frame, lengths in metres; None = unknown
@@ -213,7 +213,7 @@ class RangingStage:
         return next((ranger.disparity for ranger in self.rangers.values() if ranger.disparity is not None), None)
 
     def notes(self) -> tuple[str, ...]:
-        """Notes of the methods for the user, at the end, and on values and methods that are invalid."""
+        """Notes for the user: of the methods at their end, and on invalid values and methods."""
         notes = [note for of_method in self._answers(lambda ranger: ranger.notes) for note in of_method]
         for name in self.rangers:
             counts = {column: n for (method, column), n in self._n_invalid.items() if method == name and n}

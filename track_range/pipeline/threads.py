@@ -25,7 +25,7 @@ _UNLIMITED = 1000  # number of frames that are never in progress
 
 @dataclass(frozen=True, slots=True)
 class QueueDepths:
-    """Number of frames by which each thread may run ahead of the next one."""
+    """Number of frames by which each thread may run ahead of the next thread."""
 
     read: int = 4  # decoded frames that wait for the lane detector
     lanes: int = 2  # frames with lane lines, in the network's input, that wait for the network

@@ -60,7 +60,7 @@ _LONGEST_GAP_S = 1.0  # from which a frame is passed on although it is late: dec
 
 
 class PacedFrames:
-    """Frames of a recording at the pace of a camera: none before its time, none after the next one is due.
+    """Frames of a recording at the pace of a camera: none before its time, and none after the next frame is due.
 
     frame                 0    1    2    3    4    5     `interval_s` apart
     the caller is ready   ^                    ^         and gets frame 0, then 4; frames 1 to 3 are dropped
@@ -144,7 +144,7 @@ class FrameMeter:
 
     @property
     def n_dropped(self) -> int:
-        """Number of frames between the first and the last one that should have been used but were not processed."""
+        """Number of frames from the first to the last result that should have been used but were not processed."""
         if isinstance(self._live, PacedFrames):
             return self._live.n_dropped
         span = self._last_index - self._first_index

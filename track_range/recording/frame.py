@@ -95,7 +95,7 @@ def is_neutral(image: Image) -> bool:
 
 
 def strictly_later(stamp_s: float | None, last_s: float | None, *, interval_s: float) -> float | None:
-    """The time of a frame with timestamp `stamp_s` that follows one at `last_s`; None = repeated or backward timestamp.
+    """The time of a frame with timestamp `stamp_s` after a frame at `last_s`; None = repeated or backward timestamp.
 
     A frame without a timestamp gets the last time plus one nominal interval, or 0 if it is the first.
     """

@@ -342,7 +342,7 @@ def _aligned(
 
 
 def _drift_monitors(calibration: RecordingCalibration, pair: PairedVideos) -> tuple[Monitor, ...]:
-    """The monitor of a recorded pair whose alignment was measured; none for streams, which it would delay."""
+    """The monitor of a recorded pair whose alignment was measured; none for streams, which a monitor would delay."""
     alignment = calibration.alignment
     monitor = None if alignment is None or calibration.rig is None else alignment.drift_monitor(calibration.rig)
     return () if monitor is None or pair.is_live else (monitor,)

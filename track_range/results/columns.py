@@ -135,7 +135,7 @@ def _method_columns(*, is_built_in: bool) -> Iterator[ResultColumn]:
 
 
 def _of_method(method: str, part: str) -> ResultColumn:
-    """Column METHOD_PART of a method: m = its distance, sigma_m, else one of its details; NaN without these."""
+    """Column METHOD_PART of a method: m = its distance, sigma_m, else one of its details; NaN = no such part."""
     attribute = {"m": "distance_m", "sigma_m": "sigma_m"}.get(part)
 
     def read(result: FrameResult) -> FloatArray:
@@ -274,6 +274,6 @@ def rows_by_track(columns: Columns) -> list[IntArray]:
 
 
 def most_frequent(names: npt.NDArray[Any]) -> str:
-    """The most frequent name, such as the class of a track; the first in the alphabet of several."""
+    """The most frequent name, such as the class of a track; among equally frequent names, the first in the alphabet."""
     values, counts = np.unique(names, return_counts=True)
     return str(values[np.argmax(counts)])

@@ -211,7 +211,7 @@ class _Reader:
             return None
 
     def _events(self, rows: Columns, summary: Sections) -> tuple[Event, ...] | None:
-        """Events of a finished run; none of a run of an earlier version, None if the file is missing or damaged."""
+        """Events of a finished run; empty for a run of an earlier version, None if the file is missing or damaged."""
         path = self.folder / EVENTS_FILE
         section = _section(summary, "events")
         if not path.exists() and not section:

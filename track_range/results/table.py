@@ -197,7 +197,7 @@ class RecentRows:
         self._rows: deque[tuple[float, FrameValues]] = deque()
 
     def add(self, result: FrameResult) -> None:
-        """Add a frame, and forget what is older than `keep_s`."""
+        """Add a frame, and forget rows and events that are older than `keep_s`."""
         self._finder.update(result)
         if len(result.tracks):
             # copies, since the caller may change the arrays of the result
@@ -208,7 +208,7 @@ class RecentRows:
             self._rows.popleft()
 
     def events(self) -> tuple[Event, ...]:
-        """Events so far, in the order of their starts; events in progress have what is known so far."""
+        """Events so far, in the order of their starts; events in progress have the values known so far."""
         return self._finder.so_far()
 
     def to_arrow(self) -> pa.Table:

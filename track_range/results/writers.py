@@ -146,7 +146,7 @@ def create_writer(name: str) -> ResultWriter:
 
 
 def _problem(writer: Any) -> str:
-    """What an object lacks to be a `ResultWriter` whose files are in the folder and not files of the run; "" = none."""
+    """The part that an object lacks to be a `ResultWriter` with files in the folder, not of the run; "" = none."""
     for method in ("open", "write", "close"):
         if not callable(getattr(writer, method, None)):
             return f"a method {method}, found none"

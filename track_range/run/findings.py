@@ -32,7 +32,7 @@ Levels = tuple[float, float, float]  # mean and standard deviation of grey level
 
 
 class Findings:
-    """What the images and boxes of a run show; its frames are passed in order."""
+    """Evidence from the images and boxes of a run, whose frames are passed in order."""
 
     def __init__(self) -> None:
         self._n_frames, self._n_boxes = 0, 0
@@ -81,7 +81,7 @@ class Findings:
         return notes
 
     def _reason(self, rig: StereoRig | None) -> str:
-        """Sentence on why a pair has no distances, as far as the run shows it."""
+        """Sentence on the reason why a pair has no distances, as far as the run shows the reason."""
         if problem := _problem("right ", self._right):
             return problem[0]
         distance_m = float(np.median(self._distances_m or [np.nan]))

@@ -211,7 +211,7 @@ class RunOutput:
         call_all(steps)
 
     def close(self) -> None:
-        """Remove the note and the lock and, without `start`, all that was created; a second call does nothing."""
+        """Remove the note and the lock and, without `start`, all created files; a second call does nothing."""
         self._close()
 
     def __enter__(self) -> Self:

@@ -29,7 +29,7 @@ _file_option = partial(option, is_output=True)
 
 
 class RangingOptions(Options):
-    """How distances are measured, and what is a warning or an event."""
+    """Options of the measurement of distances, and of warnings and events."""
 
     panel: ClassVar = "Ranging"
 
@@ -216,7 +216,7 @@ class OutputOptions(Options):
 
 # pydantic lists the fields of the last base first
 class PipelineOptions(RangingOptions, TrackingOptions, DetectionOptions):
-    """Options of what happens to a frame, whether it comes from a file or from memory."""
+    """Options of the processing of a frame, whether the frame comes from a file or from memory."""
 
 
 class RunSettings(OutputOptions, PipelineOptions, InputOptions):

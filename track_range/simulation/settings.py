@@ -22,7 +22,7 @@ def _fault(description: str, flag: str, metavar: str, low: float, high: float) -
 
 
 class Faults(Options):
-    """Faults of a drive's cameras; none by default."""
+    """Faults of a drive's cameras; no faults by default."""
 
     gain: Annotated[
         float,

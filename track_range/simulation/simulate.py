@@ -124,7 +124,7 @@ def _rig(path: Path) -> tuple[StereoRig, tuple[str, ...]]:
 
 
 def _is_nearly_rectified(rig: StereoRig) -> bool:
-    """Whether a rig differs from a rectified one by less than 0.1 px and 1 cm, as KITTI's rigs do."""
+    """Whether a rig differs from a rectified rig by less than 0.1 px and 1 cm, as KITTI's rigs do."""
     if rig.left.is_distorted or rig.right.is_distorted or rig.baseline_m <= 0:
         return False
     same_cameras = np.allclose(rig.left.matrix, rig.right.matrix, atol=0.1)

@@ -117,7 +117,7 @@ def cut_clip(video: Path, path: Path, start_s: float, end_s: float) -> bool:
 
 
 def frame_at(video: Path, time_s: float) -> Image | None:
-    """The frame at a time of a `VideoWriter`'s video, from its first frame; None = there is none to be read."""
+    """The frame at a time of a `VideoWriter`'s video, from its first frame; None = the frame cannot be read."""
     with suppress(VideoError, av.FFmpegError), _opened(video) as (container, stream):
         tick = max(round((time_s - _TIME_TOLERANCE_S) / (stream.time_base or Fraction(1))), 0)
         container.seek(tick, stream=stream)

@@ -32,7 +32,7 @@ def unit_rows(embedding: npt.NDArray[np.floating]) -> Descriptors:
 
 @dataclass(frozen=True, slots=True)
 class Gallery:
-    """Embeddings of N tracks, K each: a running mean and the most recent ones; immutable."""
+    """Embeddings of N tracks, K each: a running mean and the most recent embeddings; immutable."""
 
     # (N, K, D) float32 of length 1; slot 0 is the mean, the others are the most recent, newest first. Zeros = unknown;
     # the first embedding of a track fills all slots; D = 0 = no embeddings.
@@ -49,7 +49,7 @@ class Gallery:
 
     @classmethod
     def empty(cls, *, nn_budget: int) -> Gallery:
-        """A gallery without tracks, with `nn_budget` slots per track, including the mean's."""
+        """A gallery without tracks, with `nn_budget` slots per track, one of them for the mean."""
         return cls(np.zeros((0, nn_budget, 0), np.float32))
 
     @property
@@ -89,7 +89,7 @@ class Gallery:
         return Gallery(embedding, self.mean_memory)
 
     def cosine_distance(self, embedding: Descriptors, among: BoolArray | None = None) -> FloatArray:
-        """(N, M) minimum distance of each track's embeddings from each box's; inf where an embedding is missing.
+        """(N, M) minimum distance of each track's embeddings from each box's embedding; inf where one is missing.
 
         `embedding` (M, D) has rows of length 1 or zeros; only the pairs `among` (N, M) are compared; all other
         distances are inf.

@@ -241,7 +241,7 @@ class CocoFile:
         return value.strip()
 
     def _attribute(self, item: _Object, key: str, where: str, low: float, high: float) -> float:
-        """A number, which may be a text; NaN if it is missing, null or empty."""
+        """A number, given as a number or a text; NaN if the value is missing, null or empty."""
         value = item.get(key)
         if isinstance(value, str):
             value = number(value) if value.strip() else None

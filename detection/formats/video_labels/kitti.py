@@ -75,7 +75,7 @@ class KittiLabels:
 
 
 KITTI_TYPE_OF: Mapping[str, str] = {"person": "Pedestrian", "bicycle": "Cyclist", "car": "Car", "truck": "Truck"}
-"""KITTI's type of each road class that it has."""
+"""KITTI's type of each road class that KITTI labels."""
 
 
 def kitti_line(
@@ -119,7 +119,7 @@ def read_kitti_image(path: Path) -> KittiLabels:
 
 
 class _Row(NamedTuple):
-    """A row as tracking labels have it, and the number of columns that the file has."""
+    """A row in the layout of tracking labels, and the number of columns in the file."""
 
     path: Path
     line: int

@@ -139,7 +139,7 @@ def is_number_row(line: str) -> bool:
 
 
 def read_number_rows(path: Path, error: type[Exception], expected: str) -> NumberRows:
-    """The rows of a file; raises `error` if it cannot be read, or has more than 15 columns or other cells."""
+    """The rows of a file; raises `error` if it cannot be read, has more than 15 columns, or a cell is not a number."""
     text = read_text(path, error, expected, max_bytes=MAX_TABLE_BYTES)
     lines = ((i, line.partition("#")[0]) for i, line in enumerate(text.split("\n"), start=1))
     numbered = [(i, _cells(line)) for i, line in lines if line.strip()]

@@ -420,7 +420,7 @@ def _frames(path: Path, images: Sequence[int | str], video: VideoFacts) -> tuple
 
 
 def _identities(values: Sequence[object]) -> list[int]:
-    """Identity of each box: its number, or for texts the number of their first occurrence; -1 = none."""
+    """Identity of each box: its number, or for a text the number of its first occurrence; -1 = no identity."""
     numbers = [_number(value) for value in values]
     if all(value in (None, "") or (0 <= n <= MAX_ID and n % 1 == 0) for value, n in zip(values, numbers, strict=True)):
         return [int(n) if n >= 0 else -1 for n in numbers]

@@ -168,7 +168,7 @@ def _score_and_identity(table: FloatArray, lines: Sequence[tuple[str, list[str]]
 
 
 def _label_files(path: Path) -> tuple[list[Path], Path]:
-    """Label files of a folder, sorted by name, and the folder that has them; none if it cannot be read."""
+    """Label files of a folder, sorted by name, and the folder with the files; no files if it cannot be read."""
     folder = path / "labels" if os.path.isdir(path / "labels") else path
     pattern = "**/*.txt" if folder != path else "*.txt"
     with readable(path, LabelFileError):

@@ -22,7 +22,7 @@ _CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float64)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AugmentationSettings:
-    """Strength of the augmentation: largest angles and relative changes of colours (YOLOv5's), uniform in -x..x."""
+    """Strength of the augmentation: limits x of angles and changes of colour (YOLOv5's), drawn uniformly from -x..x."""
 
     mosaic: float = 0.9  # probability that a training image is a mosaic of four images
     min_gain: float = 0.5  # of the scale, relative to an image whose longer side fills the training image

@@ -147,7 +147,7 @@ class PseudoLabelFigures:
 
 
 def usable_classes(data: OwnLabels, members: Sequence[EnsembleMember]) -> BoolArray:
-    """(D, 8) named road classes that each detector knows; LabelFileError if none, or too few labels to fit."""
+    """(D, 8) named road classes that each detector knows; LabelFileError for no class, or too few labels for a fit."""
     usable = np.array([member.is_known & data.is_named for member in members])
     if not usable.any():
         raise LabelFileError(

@@ -80,7 +80,7 @@ class FocalPosterior:
 
 
 def default_guess(width_px: int) -> FocalGuess:
-    """The focal length of an unknown road camera with images of this width."""
+    """Prior of the focal length of an unknown road camera with images of this width."""
     return FocalGuess(
         focal_of_field(DEFAULT_FIELD_DEG, width_px),
         DEFAULT_FIELD_SIGMA,

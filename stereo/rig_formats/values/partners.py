@@ -50,7 +50,7 @@ def _side_word(path: Path) -> str:
 
 
 def other_half(path: Path, *, is_intrinsic: bool) -> Path | None:
-    """The file in the folder with the extrinsics for intrinsics, or the intrinsics for extrinsics; None without it."""
+    """The file in the folder with the extrinsics for intrinsics, or the intrinsics for extrinsics; None if absent."""
     own, other = ("intrinsic", "extrinsic") if is_intrinsic else ("extrinsic", "intrinsic")
     stem = path.stem.replace(own, other) if own in path.stem else f"{other}s"
     for candidate in (path.with_name(stem + suffix) for suffix in (path.suffix, *_SUFFIXES)):

@@ -133,7 +133,7 @@ class Quantities(NamedTuple):
         )
 
     def sides(self) -> list[Side]:
-        """The sides of the file's cameras, the first (left, or with the smaller number) first; [] = none is named."""
+        """The sides of the file's cameras, the first (left, or with the smaller number) first; [] = no named side."""
         named = {side for side, quantity in self.values if quantity in ("K", "fx", "P") and side is not None}
         words: list[Side] = [side for side in ("left", "right") if side in named]
         return words if len(words) == 2 else [*words, *sorted(side for side in named if isinstance(side, int))]

@@ -54,7 +54,7 @@ class RoadCalibration:
 
     source: str  # the video
     fit: CameraFit
-    guesses: tuple[FocalGuess, ...]  # guesses of the focal length from outside of the images
+    guesses: tuple[FocalGuess, ...]  # guesses of the focal length from outside the images
     by_shape: FocalPosterior  # focal length from these and the shapes of road users
     sentences: tuple[str, ...]  # what the measurements determine, in words
     n_frames: int  # number of frames that were read
@@ -107,7 +107,7 @@ def calibrate_on_road(
 ) -> RoadCalibration:
     """Calibrate the camera of the video `settings.mono`; nothing is written before `RoadCalibration.save`.
 
-    `open_detect` opens the detector. Raises UsageError if a measurement is invalid, or outside of the image or the
+    `open_detect` opens the detector. Raises UsageError if a measurement is invalid, or outside the image or the
     video, and VideoError if the video cannot be read.
     """
     if settings.mono is None:
@@ -203,7 +203,7 @@ def _check_inside(
     size_px: tuple[int, int],
     duration_s: float,
 ) -> None:
-    """Raise UsageError for a measurement outside of the image or the video; a duration of 0 is unknown."""
+    """Raise UsageError for a measurement outside the image or the video; a duration of 0 is unknown."""
     x1, y1, x2, y2 = xyxy_px
     if x1 < -1 or y1 < -1 or x2 > size_px[0] or y2 > size_px[1]:
         raise UsageError(f"{name}: expected {expected.format(f'{size_px[0]}x{size_px[1]}')}.")
@@ -254,7 +254,7 @@ def _detected_class(metres: KnownMetres, video: VideoName, camera: PinholeCamera
 def separability(
     fit: CameraFit, guesses: Sequence[FocalGuess], by_shape: FocalPosterior, *, has_height: bool
 ) -> tuple[str, ...]:
-    """Sentences on focal length, camera height, pitch, and pairs of them; `by_shape` is the prior of the fit."""
+    """Sentences on focal length, camera height and pitch, alone and in pairs; `by_shape` is the prior of the fit."""
     camera, (shape_px, shape_sigma) = fit.camera, by_shape.guess
     origin = guesses[0].source if len(guesses) == 1 else " and ".join(guess.source for guess in guesses)
     if by_shape.n_tracks:

@@ -115,7 +115,7 @@ def _number(text: str) -> float:
 
 @dataclass(slots=True)
 class RoadEvidence:
-    """What was seen so far."""
+    """The evidence so far."""
 
     camera: PinholeCamera  # an approximate model
     n_frames: int = 0

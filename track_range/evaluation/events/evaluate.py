@@ -191,7 +191,7 @@ class _Inputs:
         return {**files, "protocol": protocol, "notes": self.notes}
 
     def last_hours(self, events: Sequence[Event], times_s: Sequence[float]) -> float | None:
-        """Time of the last event or contact as the smallest possible duration, with a note; None without either."""
+        """Time of the last event or contact as the smallest possible duration, with a note; None if there is none."""
         last_s = max([*(event.end_s for event in events), *times_s], default=0.0)
         if last_s <= 0:
             self.notes.append(

@@ -86,7 +86,7 @@ def measured_motion(
     is_ego_known: bool = True,
     look_ahead: bool = False,
 ) -> MeasuredMotion:
-    """Motion of the boxes by a method, or by the fusion of several (`mono+ground`); UsageError if it is unknown.
+    """Motion of the boxes by a method, or by a fusion of methods (`mono+ground`); UsageError if it is unknown.
 
     With `look_ahead`, closing speeds and times to collision use all frames of a sequence, instead of the frames so far.
     """

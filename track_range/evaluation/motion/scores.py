@@ -84,7 +84,7 @@ def ttc_figures(ttc_s: FloatArray, true_s: FloatArray, limit_s: float) -> dict[s
 
 
 def warning_figures(truth: LabelledMotion, measured: MeasuredMotion) -> dict[str, Any]:
-    """Alarms per hour on drives without a contact, where each is false, the time in alarm, and counts by cause."""
+    """Alarms per hour on drives without a contact (each alarm is false), the time in alarm, and counts by cause."""
     first, last = _alarm_spans(truth, measured)
     causes = Counter(_false_alarm_cause(truth, measured, row) for row in first.tolist())
     hours = truth.duration_s / 3600
@@ -110,7 +110,7 @@ def _alarm_spans(truth: LabelledMotion, measured: MeasuredMotion) -> tuple[IntAr
 
 
 def _false_alarm_cause(truth: LabelledMotion, measured: MeasuredMotion, row: int) -> str:
-    """What was wrong when an alarm began: "scale", "box error" (the speed), "wrong path", or else "driver" braked."""
+    """The error when an alarm began: "scale", "box error" (the speed), "wrong path", or else "driver" braked."""
     true_m, x_m = truth.boxes.distance_m[row], truth.boxes.x_m[row]
     if abs(measured.distance_m[row] / true_m - 1) > _SCALE_ERROR:
         return "scale"

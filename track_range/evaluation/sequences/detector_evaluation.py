@@ -35,7 +35,7 @@ WORKING_SCORE = 0.25  # default confidence for precision and recall
 PROTOCOL = (  # description of the measurement for the results
     "COCO AP (101 points, at most 100 boxes per image and class) of boxes with a score of at least 0.001 after the "
     "detector's non-maximum suppression; precision and recall at IoU 0.5 and the confidence threshold; by size: labels "
-    "and unmatched boxes outside of a bin are ignored, sizes in pixels of the image, COCO's bins of area; calibration: "
+    "and unmatched boxes outside a bin are ignored, sizes in pixels of the image, COCO's bins of area; calibration: "
     "boxes with a score of at least 0.05, matched at IoU 0.5, in 10 bins of the score; median ms per image, with all "
     "detectors run in turn on each image"
 )

@@ -165,7 +165,7 @@ def _class_of_labels(tables: Iterable[BoxTable], road_class: str | None) -> str:
 
 
 def _is_mot_challenge(path: Path) -> bool:
-    """Whether rows have MOTChallenge's class numbers, or none, so that its rules apply."""
+    """Whether rows have MOTChallenge's class numbers, or no class numbers, so that its rules apply."""
     return is_blank(path, "ground truth") or read_mot(path).names == MOT_CLASSES
 
 

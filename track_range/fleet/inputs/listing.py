@@ -128,7 +128,7 @@ def matched_clips(tree: FileTree, pattern: FilePattern, location: Location) -> l
 
 
 def _with_rigs(clips: Sequence[Clip], template: Template) -> list[Clip]:
-    """The clips with the calibration file of --rig, unless they have one or a focal length already.
+    """The clips with the calibration file of --rig, unless they already have a calibration or a focal length.
 
     A clip without the file of its placeholders has a problem; FleetInputError: a placeholder is unknown, or no file
     exists.

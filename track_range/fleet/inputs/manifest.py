@@ -37,7 +37,7 @@ _MAX_COLUMNS, _MAX_CELLS, _MAX_CELL = 1000, 50_000_000, 10_000  # cells in a Par
 
 
 def manifest_clips(location: Location) -> list[Clip]:
-    """The clips of a manifest, in its order; FleetInputError with the line if it is wrong or empty; StorageError."""
+    """The clips of a manifest, in its order. Raises FleetInputError, which names the line, and StorageError."""
     if location.is_local:
         return _Manifest(location, location.path).clips()
     with tempfile.TemporaryDirectory(prefix="track-range-manifest-") as folder:

@@ -92,7 +92,7 @@ def without_suffix(name: str) -> str:
 
 
 def wildcard_tree(location: Location) -> FileTree | None:
-    """The files that match a pattern, and all that is in the folders that match; None = it has no wildcard, or exists.
+    """The files that match a pattern, and all files in folders that match; None = no wildcard, or an existing path.
 
     `**` matches any number of folders. Hidden files match no `*`. Raises StorageError.
     """

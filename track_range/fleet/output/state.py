@@ -57,7 +57,7 @@ class FleetState:
 
     @property
     def is_alive(self) -> bool:
-        """Whether the driver is at work, as far as can be seen from here."""
+        """Whether the driver is at work, as far as this machine can determine."""
         age_s = time.time() - self.heartbeat_s
         is_here = self.host == socket.gethostname()
         is_recent = age_s < _STALE_HERE_S and is_running(self.pid) if is_here else age_s < STALE_S

@@ -1,4 +1,4 @@
-"""Figures of a fleet from its results, in a local folder or an object store; of a run in progress as well.
+"""Figures of a fleet from its results, in a local folder or an object store, also while the fleet is running.
 
 Missing or damaged parts are named, and the figures cover the rest.
 """

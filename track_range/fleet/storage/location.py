@@ -142,17 +142,17 @@ class Location:
 
     @property
     def is_local(self) -> bool:
-        """Whether it is on this machine."""
+        """Whether the location is on this machine."""
         return not self._scheme
 
     @property
     def is_web(self) -> bool:
-        """Whether it is on a web server, to which nothing can be written."""
+        """Whether the location is on a web server, to which nothing can be written."""
         return self._scheme in ("http", "https")
 
     @property
     def path(self) -> Path:
-        """The local path; raises StorageError if it is not on this machine."""
+        """The local path; raises StorageError for a remote location."""
         if self._scheme:
             raise StorageError(f"{self}: expected a path on this machine.")
         return Path(self._key)
@@ -192,7 +192,7 @@ class Location:
         return Location(self._scheme, key, self._options)
 
     def stat(self) -> FileStat | None:
-        """Size and time of change; None = no such file, folder or bucket; raises StorageError if it is refused."""
+        """Size and time of change; None = no such file, folder or bucket; raises StorageError if access is refused."""
         try:
             with storage_errors(self, "read"):
                 if self.is_local:

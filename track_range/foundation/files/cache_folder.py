@@ -1,4 +1,4 @@
-"""Cache folder of track-range: the only place outside of a run's output folder that is written to."""
+"""Cache folder of track-range: the only place outside a run's output folder that is written to."""
 
 from __future__ import annotations
 

@@ -125,6 +125,6 @@ def read_csv_table(
 
 
 def _separator(text: str) -> str:
-    """Separator of the columns: a semicolon or tab if the first line that is not empty has one outside of quotes."""
+    """Separator of the columns: a semicolon or tab if the first line that is not empty has one outside quotes."""
     first = re.sub(r'"[^"]*"', "", next((line for line in text.split("\n") if line.strip()), ""))
     return next((mark for mark in ";\t" if mark in first), ",") if "," not in first else ","

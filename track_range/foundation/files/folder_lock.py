@@ -63,7 +63,7 @@ class FolderLock:
 
 @contextmanager
 def locked_folder(folder: Path) -> Iterator[None]:
-    """Context in which no other run can write to an existing folder; raises FolderLockError if one does."""
+    """Context in which no other run can write to an existing folder; raises FolderLockError if another run does."""
     lock = FolderLock(folder)
     try:
         yield

@@ -150,7 +150,7 @@ def _jpeg_size_px(file: BinaryIO) -> tuple[int, int] | None:
 
 
 def _is_complete_png(png: bytes) -> bool:
-    """Whether all chunks of a PNG file are in it; OpenCV takes seconds and gigabytes to refuse a chunk of 2 GB."""
+    """Whether a PNG file contains all its chunks; OpenCV takes seconds and gigabytes to refuse a chunk of 2 GB."""
     at = len(_PNG_START)
     while at + 12 <= len(png):
         chunk_type = png[at + 4 : at + 8]

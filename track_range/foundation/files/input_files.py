@@ -118,7 +118,7 @@ def _read(file: BinaryIO, n_bytes: int) -> bytes:
 
 
 def real_path(path: Path) -> Path:
-    """Absolute path with symbolic links followed; where they form a loop, they are left (`Path.resolve` raises)."""
+    """Absolute path with symbolic links followed, except links that form a loop (`Path.resolve` raises)."""
     return Path(os.path.realpath(path))
 
 
@@ -135,7 +135,7 @@ def quoted(value: object, max_characters: int = _MAX_QUOTED) -> str:
 
 
 def shortened(text: str, max_characters: int = _MAX_QUOTED) -> str:
-    """A text in printable characters, cut off after a number of them, for messages."""
+    """A text in printable characters, cut off after a number of characters, for messages."""
     return printable(text if len(text) <= max_characters else f"{text[: max_characters - 3]}...")
 
 

@@ -22,7 +22,7 @@ MAX_CONTAINERS = 10_000_000  # lists and objects of a JSON file; empty ones take
 MAX_YAML_VALUES = 25_000  # keys and values of a YAML file, which take half a second; 21,000 class names fit
 MAX_DEPTH, _MAX_DIGITS = 32, 400  # of nested lists and mappings; characters of a number (float64: 309 before the point)
 _TAGS = frozenset(f"tag:yaml.org,2002:{name}" for name in ("null", "bool", "int", "float", "str", "seq", "map"))
-"""Tags of the values that JSON has, too; other tags are refused."""
+"""Tags of the values that JSON also has; other tags are refused."""
 
 _NOUNS = {"int": "an integer of at most 64 bits", "float": "a number", "bool": "true or false", "str": "text"}
 """Noun phrases for messages by the last part of a tag."""

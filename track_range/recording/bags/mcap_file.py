@@ -1,4 +1,4 @@
-"""McapFile: messages of an MCAP file, read chunk by chunk; files without a summary, such as cut ones, in sequence."""
+"""McapFile: messages of an MCAP file, read chunk by chunk; files without a summary (cut-off files) in sequence."""
 
 from __future__ import annotations
 

@@ -177,7 +177,7 @@ class RecordingCalibration:
 
     @property
     def recorded_view(self) -> Rectifier | Undistorter | None:
-        """What undistorted the left images of a wide lens, for drawing in recorded images; None for other lenses."""
+        """Undistorter of the left images of a wide lens, for drawing in recorded images; None for other lenses."""
         return self.rectifier if self.has_wide_lens else None
 
     def frame(self, left: VideoFrame, right: VideoFrame | None, first_s: float, start: UtcStart | None = None) -> Frame:
@@ -277,7 +277,7 @@ def find_calibration(
 
 
 def _pixel_aspect(videos: Sequence[Video], camera: PinholeCamera | None = None) -> float:
-    """Width / height of the pixels by the video, or of two images in one by the size of a camera's images."""
+    """Width / height of the pixels as the video states, for two images in one from the size of a camera's images."""
     if camera is not None and camera.width_px:
         for half in (video for video in videos if isinstance(video, VideoHalf)):
             half.with_packed_pixels(camera.width_px / camera.height_px)

@@ -1,4 +1,4 @@
-"""Guesses of the focal length from what a recording carries: header of the video, EXIF of images, model of the camera.
+"""Guesses of the focal length from the data of a recording: header of the video, EXIF of images, camera model.
 
 f_px = f_35 diagonal_px / 43.27 mm       f_35: focal length for 35 mm film, whose diagonal is 43.27 mm
 
@@ -66,7 +66,7 @@ _FILM_SIGMA = 0.08  # relative, of a 35 mm focal length: rounded, of diagonal or
 _PLAUSIBLE_MM = 8.0, 400.0  # range of focal lengths for 35 mm film
 
 _FILM_KEYS = ("com.apple.quicktime.camera.focal_length.35mm_equivalent", "focallengthin35mmformat")
-"""Keys of headers with that focal length in mm; the first is Apple's."""
+"""Keys of headers with the focal length for 35 mm film, in mm; the first key is Apple's."""
 
 _MODEL_KEYS = ("com.apple.quicktime.model", "com.android.model", "model", "firmware")
 """Keys of headers that identify the camera."""

@@ -31,7 +31,7 @@ class LiveAddress:
 
     @property
     def is_camera(self) -> bool:
-        """Whether it is a camera of this machine."""
+        """Whether the source is a camera of this machine."""
         return "://" not in self.url
 
     @property
@@ -42,7 +42,7 @@ class LiveAddress:
 
     @property
     def options(self) -> dict[str, str]:
-        """FFmpeg's options for opening it."""
+        """FFmpeg's options for opening the source."""
         if self.is_camera:
             return {}
         # With UDP, RTSP's default, lost packets leave parts of an image grey.

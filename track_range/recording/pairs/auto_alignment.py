@@ -46,7 +46,7 @@ class PairAlignment:
         )
 
     def drift_monitor(self, rig: StereoRig) -> DriftMonitor | None:
-        """The monitor of its drift in the frames of a rectified pair; None = it was not measured."""
+        """The monitor of the drift in the frames of a rectified pair; None = the alignment was not measured."""
         if self.drifting is None:
             return None
         return DriftMonitor(rig, self.drifting, self.measured, shift_px=self.applied.shift_px)
@@ -79,7 +79,7 @@ class PairAlignment:
 
     @property
     def health(self) -> RigHealth | None:
-        """What the alignment means for distances; None = the rig is unknown."""
+        """The meaning of the alignment for distances; None = the rig is unknown."""
         windows = () if self.drifting is None else self.drifting.windows
         return None if self.rig is None else RigHealth(self.rig, self.measured, self.applied, windows)
 

@@ -31,7 +31,7 @@ def pair_in(
 
 
 class PackedPair(VideoPair[VideoHalf]):
-    """The pairs of `whole`; the images of a pair are parts of one, and share its memory."""
+    """The pairs of `whole`; the images of a pair are parts of one image, and share its memory."""
 
     _newest: VideoFrame  # that of the last pair
 

@@ -55,7 +55,7 @@ _MIN_MATCHES = 60  # smallest number of matches per frame in equal rows of left 
 
 @dataclass(frozen=True, slots=True)
 class FoundLayout:
-    """A layout, and what states it."""
+    """A layout, and the source that states it."""
 
     layout: StereoLayout
     source: str
@@ -98,7 +98,7 @@ def find_layout(video: RecordedVideo | LiveVideo, given: LayoutOption) -> FoundL
 
 
 def mono_notes(video: RecordedVideo | LiveVideo) -> tuple[str, ...]:
-    """A note that the images of one camera seem to contain two cameras, if so."""
+    """A note if the images of one camera seem to contain two cameras."""
     stated, images = video.stated_layout, [] if video.first_image is None else [video.first_image]
     layout = FoundLayout(stated, "as the file states") if stated else matching_halves(images)
     if layout is None:

@@ -222,7 +222,7 @@ class SyncMonitor:
         return best if best is not None and self._fits(self._newest(best), best) else None
 
     def _change(self, shift: int) -> None:
-        """Use another shift from the first waiting frame on at which the present one is wrong."""
+        """Use another shift from the first waiting frame on at which the present shift is wrong."""
         old, self._shift, self._candidate, self._n_votes = self._shift, shift, None, 0
         self._is_settled = True
         for place in range(len(self._entries) - self._n_waiting, len(self._entries)):
@@ -243,7 +243,7 @@ class SyncMonitor:
         return _is_same(lag) and not _is_other(self._measured(place, shift, is_of_right=True))
 
     def _measured(self, place: int, shift: int, *, is_of_right: bool = False) -> Lag | None:
-        """The lag, in frames, of the right image that is paired with a left one by a shift; None = no motion.
+        """The lag, in frames, of the right image that is paired with a left image by a shift; None = no motion.
 
         `is_of_right`: from the motion in the right images.
         """

@@ -243,7 +243,7 @@ def _check_one_camera(paths: Sequence[Path]) -> None:
 
 
 def _several_cameras(one: Path, other: Path) -> VideoError:
-    """The error with a pattern for the camera of `one`: the end of its name if that differs, else the beginning."""
+    """The error with a pattern for the camera of `one`: the end of its name if the ends differ, else the beginning."""
     ends = [re.split(r"\d", path.stem)[-1] for path in (one, other)]
     if ends[0] != ends[1]:
         pattern = f"*{ends[0]}{one.suffix}"

@@ -91,7 +91,7 @@ def _images(
 
 
 def _packets(container: InputContainer, from_s: float) -> Generator[tuple[float, Packet[VideoStream]], None, None]:
-    """Times and packets of the first video track from the key frame before `from_s` on, up to one without a time."""
+    """Times and packets of the first video track from the key frame before `from_s` on, to the first without a time."""
     stream = container.streams.video[0]
     base_s = float(stream.time_base or 1)
     if from_s > _MAX_GROUP_S:
@@ -147,7 +147,7 @@ def _pairs(
 
 
 def contradiction(motion: MotionSeries, ego: EgoSpeed) -> str | None:
-    """How the images contradict the speed at all offsets up to `MAX_OFFSET_S`, as the end of a sentence, if at all."""
+    """The contradiction of images and speed at all offsets up to `MAX_OFFSET_S`, as the end of a sentence, if any."""
     claims = np.array([_extremes_mps(ego, time_s) for time_s in motion.time_s.tolist()]).reshape(-1, 2)
     known = np.isfinite(claims[:, 0])
     still = motion.is_still & known

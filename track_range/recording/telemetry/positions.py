@@ -138,7 +138,7 @@ def speed_ratio(positions: TelemetryTrack | None, time_s: FloatArray, stated: Fl
 
 
 def unit_of_ratio(ratio: float, tolerance: float, stated: str = "m/s") -> str | None:
-    """The unit of speeds that are taken as `stated` and are `ratio` times too small; None = it fits none.
+    """The unit of speeds that are taken as `stated` and are `ratio` times too small; None = no unit fits.
 
     The ratio may differ by the fraction `tolerance`. Units differ by 13 %.
     """

@@ -122,7 +122,7 @@ def _named(setting: str, parts: Sequence[VideoPart], motion: Callable[[], Motion
 
 
 def _is_table(path: Path) -> bool:
-    """Whether a file is a CSV with times of the video, or one without telemetry, whose error names these columns."""
+    """Whether a file is a CSV with times of the video, or a CSV without telemetry, whose error names these columns."""
     if path.suffix.lower() in SUFFIXES and path.suffix.lower() not in SPEED_TABLE_SUFFIXES:
         return False
     is_csv = path.suffix.lower() in (".csv", ".tsv")

@@ -1,4 +1,4 @@
-"""TelemetryTrack: the samples of speed and position that a recording carries."""
+"""TelemetryTrack: the samples of speed and position of a recording."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ _NUMBERS: Mapping[str, _Number] = {  # all other columns are texts
 
 
 class EventFiles:
-    """events.csv and events.parquet of a run in progress; a context manager that closes what `finish` did not.
+    """events.csv and events.parquet of a run in progress; a context manager that closes files not closed by `finish`.
 
     `metadata` is the metadata of events.parquet (`Provenance.metadata`). OutputError: events.csv cannot be created;
     also raised by `add` and `finish` if a file cannot be written.
@@ -119,7 +119,7 @@ def write_event_files(folder: Path, events: Sequence[Event], metadata: Mapping[s
 
 
 def write_events_parquet(path: Path, events: Sequence[Event], metadata: Mapping[str, str]) -> None:
-    """Write events as Parquet, atomically, the same bytes each time; OutputError if the file cannot be written."""
+    """Write events as Parquet, atomically; equal events give equal bytes. OutputError if the file cannot be written."""
     from pyarrow import parquet
 
     with writable(path, OutputError), atomic_path(path, is_flushed=False) as partial:

@@ -222,7 +222,7 @@ class EventFinder:
                 self._paths.setdefault(track_id, []).append((time_s, x_m, y_m))
 
     def _with_pet(self, event: Event, paths: list[list[Place]]) -> Event:
-        """The event with the smallest PET of its tracks, from what is known of the paths by now."""
+        """The event with the smallest PET of its tracks, from the known parts of the paths."""
         half_width_m = float(HALF_WIDTH_M[ROAD_CLASSES.index(event.class_name)])
         ego = np.array(self._ego).reshape(-1, 3)
         near = ego[(ego[:, 0] >= event.start_s - _PATH_S) & (ego[:, 0] <= event.end_s + _PATH_S)]
@@ -326,7 +326,7 @@ class EventFinder:
 
 
 def _follow(event: _Open, result: FrameResult, now: Situation) -> None:
-    """Store where the object of a near miss is."""
+    """Store the position of the object of a near miss."""
     is_seen = np.isin(result.tracks.track_id, list(event.track_ids)) & np.isfinite(now.safety.gap_m)
     for row in np.flatnonzero(is_seen).tolist():
         event.last_seen = {"time_s": result.time_s, **now.values(row, ("gap_m", "closing_mps", "apart_m"))}

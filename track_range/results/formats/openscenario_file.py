@@ -178,7 +178,7 @@ def _private(name: str, row: FloatArray) -> ElementTree.Element:
 
 
 def _maneuvers(name: str, table: FloatArray) -> ElementTree.Element:
-    """What an object does: it appears, follows its trajectory, and disappears if the ego vehicle remains."""
+    """The actions of an object: it appears, follows its trajectory, and disappears if the ego vehicle remains."""
     first_s, last_s = float(table[0, 0]), float(table[-1, 0])
     if len(table) == 1:  # a trajectory has two vertices
         table = np.concatenate([table, table + np.eye(1, 4) * 0.001])

@@ -83,7 +83,7 @@ class ParquetWriter:
 
 
 def write_table(path: Path, table: pa.Table) -> None:
-    """Write rows in full precision and metadata as tracks.parquet, the same bytes; OutputError if this fails."""
+    """Write rows in full precision and metadata as tracks.parquet; equal rows give equal bytes. Raises OutputError."""
     with writable(path, OutputError), atomic_path(path, is_flushed=False) as partial:
         _write_batches(partial, table.schema, table.to_batches())
 

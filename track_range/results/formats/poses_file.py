@@ -69,7 +69,7 @@ class Poses:
 
 
 def read_poses(folder: Path) -> Poses | None:
-    """The poses.csv of a run's folder; None without the file or a row, and if it cannot be read."""
+    """The poses.csv of a run's folder; None if the file is missing, empty or unreadable."""
     path = folder / POSES_FILE
     if not path.is_file():
         return None

@@ -15,7 +15,7 @@ from track_range.results.writers import RunInfo
 
 
 class RowFile:
-    """UTF-8 text file to which the content of one frame after the other is added with one system call.
+    """UTF-8 text file to which the content of each frame is appended with one system call.
 
     If writing fails, such as on a full disk, the file is cut back to the last whole frame. An existing file is
     replaced; `header` is the content before the first frame. OSError: the file cannot be created.

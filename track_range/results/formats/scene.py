@@ -1,4 +1,4 @@
-"""What formats with 3-D scenes share: tracks with their boxes in the image and in metres, and optional packages."""
+"""Common parts of formats with 3-D scenes: tracks with boxes in the image and in metres, and optional packages."""
 
 from __future__ import annotations
 

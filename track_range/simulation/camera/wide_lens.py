@@ -83,7 +83,7 @@ class WideLens:
         return np.asarray(cv2.resize(samples, size_px, interpolation=cv2.INTER_AREA), np.uint8)
 
     def recorded_labels(self, labels: KittiLabels) -> KittiLabels:
-        """Labels of the pinhole's images with boxes in pixels of the wide images, without boxes outside of these."""
+        """Labels of the pinhole's images with boxes in pixels of the wide images, without boxes outside these."""
         camera = self.rig.left
         xyxy_px = Undistorter(camera).recorded_boxes(labels.xyxy_px)
         edge = np.array([camera.width_px, camera.height_px] * 2, np.float64) - 1

@@ -1,4 +1,4 @@
-r"""Night lighting: converts a daylight image to one lit by the ego headlights and lamps.
+r"""Night lighting: converts a daylight image to an image lit by the ego headlights and lamps.
 
 Light on a surface at depth z:   ambient + beam(x, y) min(1, (12 m / z)^1.3)      beam: wide, low, cut off above
 Every visible lamp adds a glow: the lamp, and a halo as caused by lens and air.
@@ -41,7 +41,7 @@ def lamps_of(scene: Scene, time_s: float, *, lamp_heads_m: FloatArray, shift_m: 
 
 
 def _vehicle_lamps(user: RoadUser, location: FloatArray, rotation: FloatArray) -> list[tuple[float, ...]]:
-    """Rows of a vehicle's lamps: red ones if its back is visible, white ones if its front is."""
+    """Rows of a vehicle's lamps: red lamps if its back is visible, white lamps if its front is."""
     height, width, length = user.size_hwl_m
     shows_front = float(rotation[:, 0] @ location) < 0
     x = length / 2 if shows_front else -length / 2

@@ -149,7 +149,7 @@ class Scene:
         return np.asarray(self._headings_rad(time_s) + self.road.yaw_rad(z) - ego_yaw_rad)
 
     def rotations(self, time_s: float) -> FloatArray:
-        """(N, 3, 3) rotations from the road users' frames to the left camera's, including slope and camera rotation."""
+        """(N, 3, 3) rotations from the frames of road users to the left camera's, with slope and camera rotation."""
         _, z = self._on_road_m(time_s)
         return self._rotations(time_s, z, self._headings_rad(time_s))
 

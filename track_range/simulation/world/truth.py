@@ -39,7 +39,7 @@ class VisibleObjects:
 
 
 def label_scene(scene: Scene, times_s: Sequence[float], *, camera: PinholeCamera) -> KittiLabels:
-    """The labels of all frames, nearest object first; without hidden objects and objects outside the view or 100 m."""
+    """The labels of all frames, nearest object first; without objects that are hidden, out of view or beyond 100 m."""
     frames = [visible_objects(scene, time_s, frame=frame, camera=camera).labels for frame, time_s in enumerate(times_s)]
     return joined(frames)
 
@@ -114,7 +114,7 @@ def _projected_points(boxes_m: FloatArray, camera: PinholeCamera) -> tuple[Float
 
 
 def _extremes(values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Smallest and largest values along axis 1, without NaN; NaN if there is no other."""
+    """Smallest and largest values along axis 1, without NaN; NaN if all values are NaN."""
     return np.fmin.reduce(values, axis=1), np.fmax.reduce(values, axis=1)
 
 

@@ -1,4 +1,4 @@
-"""Stage of a run that replaces the images of its results by anonymized ones before they are shown or written.
+"""Stage of a run that anonymizes the images of its results before they are shown or written.
 
     pipeline -> results, held back -> regions from earlier and later frames -> blurred image -> overlay, writers
 
@@ -33,7 +33,7 @@ SAME_IOU, EQUAL_IOU = 0.3, 0.9  # of boxes of one object in neighbouring frames;
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LookAhead:
-    """How long results are held back to use later frames."""
+    """Time for which results are held back, so that later frames can be used."""
 
     time_s: float  # longest time; 0 = only the past is used
     max_frames: int  # largest number of results held back, which limits the memory

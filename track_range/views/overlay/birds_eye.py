@@ -166,7 +166,7 @@ class BirdsEye:
 
 
 def _places(image_px: tuple[int, int]) -> FloatArray:
-    """(4, 4) rectangles of the inset in the `_CORNERS` of an image (W, H), the upper ones below a line of text."""
+    """(4, 4) rectangles of the inset in the `_CORNERS` of an image (W, H); the upper two are below a line of text."""
     width, height = image_px
     inset_px = min(_HEIGHT_FRACTION * height, _WIDTH_FRACTION * width / _ASPECT)
     size_px = np.round(np.array([_ASPECT, 1.0]) * (round(inset_px) if inset_px >= 60 else 0))

@@ -130,7 +130,7 @@ def closing_span(
 def corner_lines(
     result: FrameResult, size_px: int, *, status: Sequence[str] = (), warning: str = ""
 ) -> tuple[Lines, Lines]:
-    """Texts of the upper left corner (frame number, time, status, warning) and of the upper right one (legend)."""
+    """Texts of the upper left corner (frame number, time, status, warning) and of the upper right corner (legend)."""
     clock = [Span(f"frame {result.frame.index}", size_px, BOLD, WHITE)]
     clock += [Span(text, size_px, REGULAR, WHITE) for text in (f"{result.frame.time_s:.2f} s", *status)]
     if result.scale_doubt is not None:
@@ -285,7 +285,7 @@ def label_places(boxes: FloatArray, size_px: FloatArray, image_px: tuple[int, in
 
 
 def shared_areas(places: FloatArray, others: FloatArray) -> FloatArray:
-    """(..., K) area in px^2 that each of (..., K, 4) rectangles shares with (M, 4) others, summed over these."""
+    """(..., K) area in px^2 that each of (..., K, 4) rectangles shares with (M, 4) other rectangles, summed."""
     corners = places[..., None]
     width = np.minimum(corners[..., 2, :], others[:, 2]) - np.maximum(corners[..., 0, :], others[:, 0])
     height = np.minimum(corners[..., 3, :], others[:, 3]) - np.maximum(corners[..., 1, :], others[:, 1])

@@ -264,7 +264,7 @@ def _count_grid(runs: Sequence[ComparedRun]) -> Grid:
 
 @dataclass(frozen=True, slots=True)
 class EventDifference:
-    """Events of two runs that differ; None = it is only in the other run. `changes`: what differs between the two."""
+    """Events of two runs that differ; None = the event is only in the other run. `changes`: their differences."""
 
     first: Event | None
     second: Event | None

@@ -1,4 +1,4 @@
-"""What happened in a run, for the terminal and notebooks: the extremes of each class, and the events."""
+"""The outcome of a run, for the terminal and notebooks: the extremes of each class, and the events."""
 
 import html
 from collections.abc import Iterator, Mapping, Sequence
@@ -24,7 +24,7 @@ _EXTREMES = (  # heading, key, key of its sigma and sign of the value that comes
 
 
 def class_grid(users: Sequence[Mapping[str, Any]]) -> Grid:
-    """One row per class of `closest_approaches`: their number, and each extreme with its track and time."""
+    """One row per class of `closest_approaches`: number of road users, and each extreme with its track and time."""
     rows = []
     for name in sorted({user["class"] for user in users}, key=ROAD_CLASSES.index):
         own = [user for user in users if user["class"] == name]

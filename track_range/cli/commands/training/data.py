@@ -20,7 +20,7 @@ _N_PER_HEAD = 3  # number of anchors of each head, in all networks
 
 
 def print_anchors(options: AnchorOptions) -> None:
-    """Print k-means++ anchors of the training boxes of a data set, and their mean best IoU beside the defaults'."""
+    """Print k-means++ anchors of the training boxes of a data set, and the mean best IoU of these and the defaults."""
     size_px, n_anchors = options.size_px, options.clusters
     data = read_data_yaml(options.data)
     print_line(console, *data.notes)

@@ -37,7 +37,7 @@ _MAX_INTEGER = 2**53  # limit of offsets and times, with which sums do not overf
 
 
 class Box(NamedTuple):
-    """A box: its type, and where its content is in the file."""
+    """A box: its type, and the position of its content in the file."""
 
     type: bytes
     start: int
@@ -201,7 +201,7 @@ def _timescale(header: bytes) -> int:
 
 
 def _table(box: bytes, n_columns: int = 1, dtype: str = ">u4", start: int = 4) -> IntArray:
-    """(N, n_columns) integers after their number at `start`; fewer if the box is cut off."""
+    """(N, n_columns) integers that follow the number N at `start`; fewer if the box is cut off."""
     item = np.dtype(dtype)
     n = min(int.from_bytes(box[start : start + 4], "big") * n_columns, MAX_TABLE_ROWS)
     n = max(min(n, (len(box) - start - 4) // item.itemsize), 0) // n_columns
@@ -222,7 +222,7 @@ def _sizes(table: bytes) -> IntArray:
 
 
 def _offsets(table: bytes, sizes: IntArray) -> IntArray:
-    """(N,) where the samples start, from the boxes `stsc` and `stco` or `co64`."""
+    """(N,) positions of the samples in the file, from the boxes `stsc` and `stco` or `co64`."""
     small = _first(table, b"stco")
     chunks = _table(small) if len(small) >= 8 else _table(_first(table, b"co64"), dtype=">u8")
     chunks = np.clip(chunks[:, 0], 0, _MAX_INTEGER)

@@ -1,4 +1,4 @@
-"""MPEG transport streams (.ts, .m2ts): `freeGPS` and LIGO records in private PES packets, timed by the video's.
+"""MPEG transport streams (.ts, .m2ts): `freeGPS` and LIGO records in private PES packets, on the clock of the video.
 
 Packets of 188 bytes, or 192 with a time stamp before each (ISO/IEC 13818-1). The file is read in blocks from start to
 end, as it has no index; without a private stream at its start it is not read further.

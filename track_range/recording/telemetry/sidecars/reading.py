@@ -83,5 +83,5 @@ _KINDS = (  # files without telemetry that can be read: pattern of the name, and
 
 
 def kind_of(path: Path) -> str:
-    """What a file that is not read seems to be, with what to do, after "found"; empty = unknown."""
+    """Probable kind of a file that is not read, and advice, for a message after "found"; empty = unknown."""
     return next((kind for pattern, kind in _KINDS if re.search(pattern, path.name, re.IGNORECASE)), "")

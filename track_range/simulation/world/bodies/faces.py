@@ -191,7 +191,7 @@ def _trapezium(
 
 
 def chosen(rng: np.random.Generator, colours: Sequence[Colour]) -> Colour:
-    """A random colour of several."""
+    """A random choice from several colours."""
     return colours[int(rng.integers(len(colours)))]
 
 

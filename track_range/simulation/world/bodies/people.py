@@ -139,7 +139,7 @@ def _limb(
     radii_m: tuple[float, float, float, float],
     bgr: Colour,
 ) -> list[Face]:
-    """Two tapered tubes; the second one starts slightly before the joint, so that there is no gap where it bends."""
+    """Two tapered tubes; the second tube starts slightly before the joint, so that there is no gap where it bends."""
     start, joint, end = points
     x, height, z = (0.9 * at + 0.1 * back for at, back in zip(joint, start, strict=True))
     first = _tube(rng, start, joint, (radii_m[0], radii_m[1]), bgr)

@@ -245,7 +245,7 @@ def _slow_changes(rng: np.random.Generator, mean_mps: float, seconds: float) -> 
 
 
 def _with_crash(scene: Scene, seconds: float) -> Scene:
-    """The scene with the ego vehicle and what it hits braking to a standstill from the first contact on."""
+    """The scene with the ego vehicle and the object that it hits braking to a standstill from the first contact on."""
     contact = first_contact(scene, max(seconds, CONTACT_S[1] + 1))
     if contact is None:
         return scene

@@ -174,7 +174,7 @@ class _Contents:
         return Obstacle(len(self.obstacles), kind, size_hwl_m, (x_m, z_m), heading)
 
     def _is_free(self, path: list[Disc], occluder: list[Disc]) -> bool:
-        """Whether a road user on its path and its occluder are beside the ego vehicle's path and touch no other."""
+        """Whether a road user and its occluder are beside the ego vehicle's path and touch no other object."""
         x, _, radius = np.array(path + occluder).T
         if (np.abs(x) - radius < CORRIDOR_M).any() or (np.abs(x) > FARTHEST_ASIDE_M).any():
             return False

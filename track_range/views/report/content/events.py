@@ -73,7 +73,7 @@ def measurements(event: Event) -> list[str]:
 
 
 def sigma_words(sigma_m: float) -> str:
-    """A standard deviation in m: centimetres below 10 cm, so that a small one is not shown as 0.0."""
+    """A standard deviation in m: centimetres below 10 cm, so that a small value is not shown as 0.0."""
     return f"{sigma_m:.1f}" if sigma_m >= 0.095 else f"{max(sigma_m, 0.01):.2f}"
 
 
