@@ -235,8 +235,7 @@ def levels_apart(network: NetworkOutputs) -> Iterator[YoloModel]:
         if n_dimensions == 3:
             yield replace(model, score_outputs=tuple(part.output for part in score_parts))
             continue
-        logits = [replace(level, activation="sigmoid") for level in levels]
-        decoder = partial(decode_rows, logits)
+        decoder = partial(decode_rows, [replace(level, activation="sigmoid") for level in levels])
         yield replace(model, decoder=decoder, accepts=partial(_are_probabilities, score_parts, False))
         yield replace(model, name=f"{name}-activated", accepts=partial(_are_probabilities, score_parts, True))
 

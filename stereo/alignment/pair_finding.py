@@ -113,8 +113,7 @@ def find_fault(figures: PairFigures, rig: StereoRig) -> PairFinding:
 
 
 def _refused(reason: str) -> PairFinding:
-    sentence = f"The rig does not fit these images: {reason}.{WITHOUT_STEREO}"
-    return PairFinding("refused", sentence)
+    return PairFinding("refused", f"The rig does not fit these images: {reason}.{WITHOUT_STEREO}")
 
 
 def _is_without_parallax(figures: PairFigures, rig: StereoRig) -> bool:

@@ -129,13 +129,7 @@ class FramePipeline:
             warnings = safety = None
             if self.warning is not None:
                 warnings = self.warning.update(
-                    tracks,
-                    motion,
-                    lateral,
-                    frame.time_s,
-                    ego_mps=ego_mps,
-                    yaw_rad_s=yaw_rad_s,
-                    ranges=ranges["fused"],
+                    tracks, motion, lateral, frame.time_s, ego_mps=ego_mps, yaw_rad_s=yaw_rad_s, ranges=ranges["fused"]
                 )
                 if doubt is not None:
                     warnings = replace(warnings, active=np.zeros_like(warnings.active))

@@ -57,13 +57,7 @@ from track_range.run.pictures import missing_outputs
 from track_range.run.progress import step_progress
 from track_range.run.ready_model import ready_model
 from track_range.run.settings import RunSettings
-from track_range.run.settings_files import (
-    absolute_settings,
-    assumed_rate,
-    input_files,
-    unused_options,
-    without_folders,
-)
+from track_range.run.settings_files import absolute_settings, assumed_rate, input_files, unused_options, without_folders
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.tracking.evaluation.frame_shift import frame_shift_note
 from track_range.tracking.registry import ObjectTracker

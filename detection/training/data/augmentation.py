@@ -149,8 +149,7 @@ def _transformed_labels(
     corners = (low + (high - low) * _CORNERS) @ matrix[:, :2].T + matrix[:, 2]
     full = np.concatenate([corners.min(1), corners.max(1)], axis=1).reshape(-1, 4)
     first = np.array([part.columns.start, part.rows.start] * 2)
-    last = np.array([part.columns.stop, part.rows.stop] * 2)
-    boxes = np.clip(full, first, last)
+    boxes = np.clip(full, first, np.array([part.columns.stop, part.rows.stop] * 2))
     size, full_size = boxes[:, 2:] - boxes[:, :2], full[:, 2:] - full[:, :2]
     fraction = size.prod(1) / np.maximum(full_size.prod(1), 1e-9)
     is_too_small = (size.min(1, initial=np.inf) < MIN_SIDE_PX) | (fraction < MIN_FRACTION)

@@ -1,30 +1,57 @@
 """`track-range align` and `track-range rig check`: measure the disparity error of a calibrated stereo pair."""
 
 from functools import partial
+from pathlib import Path
 
-from track_range.calibration.align import RigAlignment, align, check_rig_health
+from rich.console import Console
+
+from track_range.calibration.align import BaselineCheck, RigAlignment, align, check_rig_health
 from track_range.calibration.settings import AlignmentSettings, RigCheckSettings
 from track_range.cli.console import console, print_grid, print_line
 from track_range.cli.parameters import command
-from track_range.run.baseline import check_baseline
 from track_range.run.progress import step_progress
+from track_range.run.run import Run
+from track_range.run.settings_files import settings_from
 from track_range.views.report.tables import rig_grid
+
+_BASELINE_S = 30.0  # longest part of the drive from which the baseline is checked
 
 
 def _align(settings: AlignmentSettings) -> None:
-    alignment = align(settings, partial(step_progress, console), partial(check_baseline, console=console))
+    alignment = align(settings, partial(step_progress, console), partial(_check_baseline, console=console))
     _print(alignment)
     alignment.save(settings)
     print_line(console, f"Written: {settings.out}")
 
 
 def _check(settings: RigCheckSettings) -> None:
-    _print(check_rig_health(settings, partial(step_progress, console), partial(check_baseline, console=console)))
+    _print(check_rig_health(settings, partial(step_progress, console), partial(_check_baseline, console=console)))
 
 
 def _print(alignment: RigAlignment) -> None:
     print_grid(console, rig_grid(alignment.health.to_dict()))
     print_line(console, *alignment.sentences)
+
+
+def _check_baseline(
+    videos: tuple[Path, Path], settings: AlignmentSettings | RigCheckSettings, console: Console
+) -> BaselineCheck:
+    """Check the baseline in the first part of a drive; raises the errors of a run."""
+    given = {name: getattr(settings, name) for name in ("rig", "detector", "detections", "ego_speed")}
+    given = {name: str(value) for name, value in given.items() if value is not None}
+    if videos[0] == videos[1]:
+        given["stereo_layout"] = settings.stereo_layout
+    run = Run(
+        settings_from({"stereo": tuple(map(str, videos)), "sgbm": False, "duration_s": _BASELINE_S, **given}),
+        progress=console,
+    )
+    for _ in run:
+        pass
+    check = run.session.pipeline.scale_check
+    if check is None:
+        return BaselineCheck("", {})
+    sentence = check.agreement.sentence if check.doubt is None else check.doubt.sentence(check.baseline_m)
+    return BaselineCheck(sentence, check.summary())
 
 
 app = command(AlignmentSettings, _align)

@@ -215,8 +215,7 @@ class Renderer:
 
     def _background(self, pose: CameraPose, camera: PinholeCamera, n_rows: int) -> Image:
         """The upper rows of the sky as this camera sees it, which depends on its rotation and principal point only."""
-        left = self._cameras["left"]
-        camera_matrix, sky_matrix = camera.matrix, left.matrix
+        camera_matrix, sky_matrix = camera.matrix, self._cameras["left"].matrix
         sky_size_px = 2 * np.array(self._sky.shape[1::-1])
         sky_matrix[:2, 2] += (sky_size_px - (camera.width_px, camera.height_px)) / 2
         to_sky = sky_matrix @ pose.camera_from_world.T @ np.linalg.inv(camera_matrix)

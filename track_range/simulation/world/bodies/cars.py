@@ -80,8 +80,7 @@ class _Car:
 
 def car(rng: np.random.Generator, size_hwl_m: Size) -> list[Face]:
     """The faces of a car with a random shape and colour."""
-    build = BUILDS[int(rng.integers(len(BUILDS)))]
-    body = _Car(rng, size_hwl_m, build, chosen(rng, PAINTS))
+    body = _Car(rng, size_hwl_m, BUILDS[int(rng.integers(len(BUILDS)))], chosen(rng, PAINTS))
     return [shadow(size_hwl_m), *_hull(body), *_cabin(body), *_shoulders(body)]
 
 
