@@ -70,7 +70,7 @@ def in_measuring_order(listed: Sequence[RangingMethod]) -> tuple[RangingMethod, 
 
 
 def create_rangers(context: MethodContext, listed: Sequence[RangingMethod] | None = None) -> dict[str, Ranger]:
-    """Rangers by name, in measuring order, of all methods (or those `listed`) with their requirements met.
+    """Rangers by name, in measuring order, of all methods (or the `listed` methods) with their requirements met.
 
     Each factory gets the context with the rangers created before. Raises MethodError: the `reads` of the methods form a
     cycle.

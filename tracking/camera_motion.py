@@ -50,7 +50,7 @@ class CameraMotionSettings:
 
 
 class CameraMotion:
-    """Estimator of the background motion between frames of one stream; `flow` may be shared, None = a new one."""
+    """Estimator of the background motion between frames of one stream; `flow` may be shared, None = a new flow."""
 
     def __init__(self, settings: CameraMotionSettings | None = None, *, flow: BackgroundFlow | None = None) -> None:
         self._settings = settings or CameraMotionSettings()

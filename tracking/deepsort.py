@@ -329,7 +329,7 @@ class DeepSortTracker:
         return Tracks(table.track_id[rows], boxes_px, table.class_id[rows], score[rows], is_detected[rows])
 
     def _smoothed(self, tracks: Tracks) -> Tracks:
-        """The tracks with smoothed boxes where they were detected, if the settings ask for them."""
+        """The tracks with smoothed boxes in place of detected boxes, if the settings ask for them."""
         if not self._settings.is_smoothed or not len(tracks):
             return tracks
         filters = self._table.filters.select(np.searchsorted(self._table.track_id, tracks.track_id))

@@ -110,7 +110,7 @@ def evaluate_by_size(
         detections: the detections of each image, down to very low scores.
         truth: the labels of each image, in the same order.
         working_score: (8,) score threshold by road class at which the recall is computed.
-        known_class_id: road classes that the detector has a name for; the others are excluded from the means.
+        known_class_id: road classes that the detector has a name for; other classes are excluded from the means.
         measure: "area" in square pixels or "height" in pixels of the image.
         min_boxes: classes with fewer labels of any size are excluded from the means.
         min_bin_boxes: classes with fewer labels in a bin are excluded from its means.

@@ -47,7 +47,7 @@ class Reliability:
 
     @classmethod
     def of(cls, score: FloatArray, is_true: BoolArray, *, n_bins: int = N_BINS) -> Reliability:
-        """Reliability of detections with scores (K,) in [0, 1], of which those in the mask (K,) match a label."""
+        """Reliability of detections with scores (K,) in [0, 1], some of which, in the mask (K,), match a label."""
         if n_bins < 1:
             raise ValueError(f"n_bins: expected at least 1, got {n_bins}")
         index = np.minimum((score * n_bins).astype(np.int64), n_bins - 1)  # a score of 1 is in the last bin

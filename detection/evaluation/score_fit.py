@@ -42,7 +42,7 @@ _LIMIT = 1e-4  # distance of a score from 0 and 1, so that its logit is finite
 
 @dataclass(frozen=True, slots=True)
 class ScoreSamples:
-    """Detections of all classes in images in which the class is completely labelled."""
+    """Detections of all classes in images in which their class is completely labelled."""
 
     class_id: IntArray  # (K,) road class
     score: FloatArray  # (K,) score
@@ -85,7 +85,7 @@ class ScoreFit:
 
 
 def fit_scores(samples: ScoreSamples) -> ScoreFit | None:
-    """The coefficients for samples; None if fewer than `MIN_POSITIVES` of them, or all of them, are matches."""
+    """The coefficients for samples; None if fewer than `MIN_POSITIVES` samples, or all samples, are matches."""
     n_classes = len(ROAD_CLASSES)
     n_positives = np.bincount(samples.class_id[samples.is_match], minlength=n_classes)
     if n_positives.sum() < MIN_POSITIVES or samples.is_match.all():

@@ -74,7 +74,7 @@ def image_name(video: VideoFacts, frame: int) -> str:
 
 
 class Written(NamedTuple):
-    """Result of writing a table: the number of boxes in the file, and notes for the user on what was left out."""
+    """Result of writing a table: the number of boxes in the file, and notes for the user on omitted content."""
 
     n_boxes: int
     notes: tuple[str, ...] = ()

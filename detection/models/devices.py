@@ -1,4 +1,4 @@
-"""Devices that networks run on: onnxruntime's execution providers, and what has to be installed for each."""
+"""Devices that networks run on: onnxruntime's execution providers, and the packages that each requires."""
 
 from collections.abc import Mapping
 from typing import Literal, NamedTuple

@@ -45,7 +45,7 @@ def pull(entry: CatalogueEntry, cache: Path, progress: Progress | None = None) -
         cache.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise DownloadError(
-            f"{cache}: cannot create this folder for models ({error.strerror}); set TRACK_RANGE_CACHE to another."
+            f"{cache}: cannot create this folder ({error.strerror}); set TRACK_RANGE_CACHE to another folder."
         ) from error
     sidecar = cache / f"{entry.name}.yaml"
     if entry.size_px is not None and not sidecar.exists():  # else the user has attributes for this model

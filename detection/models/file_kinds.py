@@ -22,7 +22,7 @@ _KINDS: tuple[tuple[str, tuple[str, ...], str], ...] = (  # kind, suffixes, how 
 
 
 def other_kind(path: Path) -> str | None:
-    """What a file is, by its first bytes, else by its suffix, and how to get an ONNX network; None = unknown."""
+    """The kind of a file, by its first bytes or else its suffix, and how to get an ONNX network; None = unknown."""
     with path.open("rb") as file:
         head = file.read(_HEAD_BYTES)
     text = head.lstrip(b"\xef\xbb\xbf \t\r\n").lower()

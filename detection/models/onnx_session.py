@@ -194,7 +194,7 @@ class BoundNetwork:
         batch = session.input_shape[0]
         if batch not in (None, 1):
             raise ModelError(
-                f"{session.path}: expected a batch size of 1 or a variable one, got {batch}; export with batch size 1."
+                f"{session.path}: expected batch size 1 or a variable size, got {batch}; export with batch size 1."
             )
         inputs = session.inputs(self.blob)
         outputs = session.run_inputs(inputs)

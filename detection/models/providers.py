@@ -57,7 +57,7 @@ def open_session(path: Path, device: Device, n_threads: int) -> OpenedSession:
 
 
 def why_missing(device: str) -> str:
-    """Why a device other than the CPU cannot be used on this machine, with what to install; "" = no known reason."""
+    """Why a device other than the CPU cannot be used on this machine, with the package to install; "" = unknown."""
     accelerator = ACCELERATORS[device]
     if accelerator.provider in ort.get_available_providers() or _plugin_devices(device):
         return ""

@@ -145,9 +145,9 @@ def _float_model(path: Path) -> onnx.ModelProto:
     types |= {value.type.tensor_type.elem_type for value in model.graph.input}
     operators = {node.op_type for node in model.graph.node}
     if operators & _QUANTISED:
-        raise ModelError(f"{path}: expected a float32 network, got a quantised one.")
+        raise ModelError(f"{path}: expected a float32 network, got a quantised network.")
     if types & {onnx.TensorProto.FLOAT16, onnx.TensorProto.BFLOAT16}:
-        raise ModelError(f"{path}: expected a float32 network, got one with 16-bit floats.")
+        raise ModelError(f"{path}: expected a float32 network, got a network with 16-bit floats.")
     if "Conv" not in operators:
         raise ModelError(f"{path}: expected a network with convolutions, found none; there is nothing to quantise.")
     return model

@@ -265,7 +265,7 @@ class ScaleCheck:
         self._objects.put(tracks.track_id, state, keep_known=stays)
 
     def _evidence(self) -> tuple[list[Evidence], int]:
-        """All evidence so far, and the number of road users in it."""
+        """All evidence so far, and the number of its road users."""
         evidence, expected = [], math.log(self._height_m)
         n, r, r_variance, n_q, q, q_variance = self._objects.known
         is_known, has_height = n >= _MIN_FRAMES, n_q >= _MIN_FRAMES
@@ -355,7 +355,7 @@ def _solved(evidence: list[Evidence], priors: FloatArray) -> _Solution:
 
 
 def _common(value: FloatArray, variance: FloatArray) -> tuple[float, float]:
-    """Mean and standard deviation of what the objects (K,) have in common; some of them are outliers."""
+    """Mean and standard deviation of the common part of the objects (K,), some of which are outliers."""
     sigma = np.sqrt(variance + _MIN_OBJECT_SIGMA**2)[:, None]
     difference = value[:, None] - _LOG
     near = (1 - _OUTLIER) / sigma * np.exp(-0.5 * (difference / sigma) ** 2)

@@ -79,7 +79,7 @@ def prior_cost(cause: Cause, factor: float, sigma: float) -> float:
 
 
 def causes_of(error_sources: Sequence[str], *, has_rig: bool) -> frozenset[Cause]:
-    """What changes the distances of a method with these error sources."""
+    """The given values that affect the distances of a method with these error sources."""
     causes: set[Cause] = {"focal length"}
     if "baseline" in error_sources:
         causes.add("baseline")

@@ -24,7 +24,7 @@ class RangeEvaluationSettings(Options):
     """Methods, boxes and labels of `track-range evaluate ranges`."""
 
     labels: Annotated[Path, option("Folder of KITTI tracking labels, NAME.txt for each sequence.", metavar="DIR")]
-    calib: Annotated[Path, option("Folder of KITTI calibration files with the same names.", metavar="DIR")]
+    calib: Annotated[Path, option("Folder of KITTI calibration files, named like the labels.", metavar="DIR")]
     boxes: BoxesField = "labels"
     noise_px: NoiseField = 0.0
     seed: NoiseSeedField = 0

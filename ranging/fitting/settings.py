@@ -17,9 +17,9 @@ class FitSettings(Options):
             metavar="DIR|FILE",
         ),
     ] = None
-    calib: Annotated[Path | None, option("Folder of KITTI calibration files with the same names.", metavar="DIR")] = (
-        None
-    )
+    calib: Annotated[
+        Path | None, option("Folder of KITTI calibration files, named like the labels.", metavar="DIR")
+    ] = None
     csv: Annotated[
         Path | None,
         option(

@@ -1,6 +1,6 @@
 """SizeModel: protocol of models that give the distance of a box from its size, and the boxes that they measure.
 
-DriveState: what the objects of a drive have shown about its ground plane and about their own body types.
+DriveState: evidence from the objects of a drive about its ground plane and about their own body types.
 
     y_i = y0 + delta_t + H x_i + r_i            y_i: bottom edge, x_i = 1 / z_i by size, H: camera height
     delta_t ~ N(0, lambda pitch^2)              pitch and slope of the road at a time
@@ -41,7 +41,7 @@ _MAX_LOG_RATIO = 1.0  # of two body types from the earlier views of an object, s
 _N_MEANS = 7  # per object: five terms of the normal equations, two moments of the residuals
 
 _N_GROUND, _N_VIEWS, _TIME, _BODIES = _N_MEANS, _N_MEANS + 1, _N_MEANS + 2, _N_MEANS + 3
-"""Rows of the state of an object after the means: frames on the ground, frames, time of the last one; then the mean log
+"""Rows of the state of an object after the means: frames on the ground, frames, time of the last; then the mean log
 likelihoods of the body types."""
 
 

@@ -131,7 +131,7 @@ def _from_csv(path: Path) -> EgoSpeed:
     time_s, speed_mps = table.finite("time_s"), table.finite(units[0]) * _UNITS[units[0]]
     table.check("time_s", time_s, np.abs(time_s) <= _MAX_TIME_S, "seconds from the first frame")
     if (np.diff(time_s) <= 0).any():
-        raise EgoSpeedError(f"{path}: expected time_s to increase from row to row; sort the rows, remove duplicates.")
+        raise EgoSpeedError(f"{path}: expected time_s to increase from row to row; sort the rows and drop duplicates.")
     return EgoSpeed(time_s, _plausible(speed_mps, str(path)), path.name)
 
 
@@ -176,7 +176,7 @@ def _from_comma(folder: Path) -> EgoSpeed:
     except (OSError, ValueError, EOFError) as error:
         raise EgoSpeedError(
             f"{folder}: expected arrays of NumPy in {_COMMA_SPEED} and global_pose/frame_times, as in comma2k19, found "
-            "missing or damaged ones."
+            "missing or damaged arrays."
         ) from error
     if not len(frame_s) or len(time_s) != len(speed_mps) or not (np.diff(time_s) > 0).all():
         raise EgoSpeedError(f"{folder}: expected increasing times with one speed each, found other values.")

@@ -125,7 +125,7 @@ class DriftMonitor:
             self._end(frame.time_s)
 
     def _end(self, time_s: float) -> None:
-        """Wait for the next measurement, a shorter time if this one failed."""
+        """Wait for the next measurement, a shorter time if this measurement failed."""
         has_all = len(self._points) == from_drive.N_FRAMES
         self._last_s = time_s if has_all else time_s - 0.8 * MIN_INTERVAL_S
         self._n_frames = 0 if has_all else round(0.8 * MIN_INTERVAL_FRAMES)

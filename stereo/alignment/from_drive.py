@@ -90,7 +90,7 @@ class DriveAlignment:
         self._begin_drive()
 
     def add(self, frame: Frame) -> None:
-        """Add the next frame; frames without a right image, or too soon after the last one, are ignored."""
+        """Add the next frame; frames without a right image, or too soon after the last frame, are ignored."""
         step_s = frame.time_s - self._last_s
         if self.is_full or frame.right is None or step_s < MIN_STEP_S:
             return
@@ -100,7 +100,7 @@ class DriveAlignment:
         self.add_points(self._tracks.add(frame.left, whole_image(frame.right), frame.time_s))
 
     def add_points(self, frame: TrackedFrame) -> None:
-        """Add the points of the next frame, as `add` does with its images."""
+        """Add the points of the next frame, as `add` adds images."""
         self._last_s = frame.time_s
         self._n_frames_left -= 1
         self._matched.append(frame.points)

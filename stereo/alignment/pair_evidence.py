@@ -1,4 +1,4 @@
-"""PairEvidence: what features of the first pairs show about the relative position of left and right images.
+"""PairEvidence: evidence from features of the first pairs about the relative position of left and right images.
 
 Features (ORB) are matched between left and right, also with the right image mirrored, and between successive left
 images. The disparities d of the matches are compared with inverse depths r from the motion of the left camera:

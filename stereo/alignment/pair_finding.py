@@ -1,4 +1,4 @@
-"""find_fault: the explanation of the figures of a pair, and what follows for a run.
+"""find_fault: the explanation of the figures of a pair, and its consequence for a run.
 
     fits       as in the rig                             verged     a constant error of the disparities: corrected
     swapped    left and right exchanged: an error        turned     both images upside down: turned back
@@ -178,7 +178,7 @@ def _arranged(figures: PairFigures, exchanged: bool | None) -> PairFinding:
 def _exchanged(figures: PairFigures, rig: StereoRig, is_upright: bool | None) -> PairFinding:
     evidence = _negative(figures, rig)
     if is_upright is False:
-        where = "and near points are at the top of the images; they are turned back."
+        where = "and near points are at the top of the images, which are turned back."
         return PairFinding("turned", f"Both videos are upside down (turned by 180 degrees): {evidence}, {where}")
     other = "if both are mirrored, mirror them instead" if is_upright else "or turn both, if they are upside down"
     return PairFinding("swapped", f"left and right are swapped: {evidence}; swap the two videos ({other}).")

@@ -45,7 +45,7 @@ class Lag(NamedTuple):
 
 
 def measured_lag(before: ImageView, left: ImageView, right: ImageView) -> Lag | None:
-    """The lag of a rectified right image behind the left one; None = no vertical motion.
+    """The lag of a rectified right image behind the left image; None = no vertical motion.
 
     `before` is a left image of a short time before (or after: the sign changes). One measurement takes 2 or 3 ms.
     """

@@ -1,4 +1,4 @@
-"""Coverage of the image by a set of board views, in position, size and tilt, and what is missing.
+"""Coverage of the image by a set of board views, in position, size and tilt, and the missing views.
 
     x, y   fraction of the image width and height spanned by the corners
     size   side of the board / side of the image

@@ -38,7 +38,7 @@ class ConfidenceRecorder:
         self._parts: dict[str, list[FloatArray]] = {measure: [np.zeros(0)] for measure in MEASURES}
 
     def recorded(self, pairs: Iterable[StereoPair]) -> Iterator[StereoPair]:
-        """The same pairs; the measures of a pair are computed after it was used."""
+        """The same pairs; the measures of a pair are computed after its use."""
         for pair in pairs:
             yield pair
             settings = SgbmSettings.for_rig(pair.rig, chosen={"mode": "hh"})

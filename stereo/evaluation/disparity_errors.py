@@ -87,7 +87,7 @@ def corrected(column: MatcherColumn, objects: Objects, alignments: Mapping[int, 
 
 
 def folds(n_pairs: int, *, n_left_out: int = 2) -> list[range]:
-    """Folds of `n_left_out` successive pairs, the last one possibly smaller."""
+    """Folds of `n_left_out` successive pairs; the last fold may be smaller."""
     return [range(start, min(start + n_left_out, n_pairs)) for start in range(0, n_pairs, n_left_out)]
 
 

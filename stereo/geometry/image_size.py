@@ -90,9 +90,9 @@ def fitted_to_size(
             )
         fitted = camera.resized(size_px)
         notes = (
-            f"{source}: calibration scaled from {calibrated} px to the image size, {width}x{height} px, assuming that "
-            f"the images are resized: focal length {fitted.fx_px:.0f} px. If they are cropped, as in modes that use a "
-            f"part of the sensor, the focal length is {camera.fx_px:.0f} px, and distances are "
+            f"{source}: the calibration is scaled from {calibrated} px to the image size, {width}x{height} px, "
+            f"assuming that the images are resized: the focal length is {fitted.fx_px:.0f} px. If they are cropped, as "
+            f"in modes that use a part of the sensor, the focal length is {camera.fx_px:.0f} px, and distances are "
             f"{camera.width_px / width:.2f} times as long; in that case, give the calibration of these images.",
         )
     doubts = size_alternatives(camera, size_px)

@@ -164,7 +164,7 @@ class StereoOdometry:
         return EgoMotion(*self._filter.update(time_s, dt_s, math.nan, math.nan, math.nan))
 
     def _view(self, time_s: float, frame: FlowFrame, right: Image) -> _View:
-        """Corners of the left image that are also found in the right one."""
+        """Corners of the left image that are also found in the right image."""
         left = frame.small
         corners = frame.corners.points[: frame.corners.n_good(_N_FEATURES, _MIN_QUALITY)]
         coarse_px = self._coarse_disparities(left, right, corners)

@@ -79,7 +79,7 @@ _MODELS = (  # a missing distortion_model is none
 
 
 def _read(text: str, source: object) -> RigCalibration:
-    """The first two cameras of a chain, the left one first."""
+    """The first two cameras of a chain, the left camera first."""
     content = parse_yaml(yaml_of_opencv(text), source, RigError, "Kalibr's camchain.yaml")
     if not isinstance(content, dict) or not isinstance(content.get("cam0"), dict):
         raise RigError(f"{source}: expected a block cam0, found none; {_HINT}.")
@@ -88,7 +88,7 @@ def _read(text: str, source: object) -> RigCalibration:
 
 
 def calibration_of_blocks(content: Mapping[str, Any], source: object, notes: list[str]) -> RigCalibration:
-    """The camera of the block "cam0", and of "cam1" if there is one; the left one first."""
+    """The camera of the block "cam0", and of "cam1" if there is one; the left camera first."""
     first, first_block = _camera(content["cam0"], f"{source}: cam0")
     if not isinstance(content.get("cam1"), dict):
         return RigCalibration(first, None, None, notes=tuple(notes))

@@ -265,9 +265,7 @@ def _unit(kind: Kind, given: Quantities, length: float) -> tuple[float, str]:
     if kind.name == "matlab":
         return 0.001, "assuming millimetres, MATLAB's default"
     if length <= _VEHICLE:
-        wide = (
-            "; a wide baseline: if T counts squares of the board, multiply T by their side" if length > _WIDE_M else ""
-        )
+        wide = "; a wide baseline: if T counts squares, multiply T by the side of a square" if length > _WIDE_M else ""
         of_board = "that the square size was given in metres" if (None, "T") in given.values else "metres"
         return 1.0, f"assuming {of_board}{wide}"
     if length <= _CENTIMETRES:
@@ -421,7 +419,7 @@ def partial_motion(given: Quantities, path: Path) -> FloatArray | None:
 
 
 def _unusable(given: Quantities, path: Path) -> str:
-    """What a file without cameras seems to be, and what to do."""
+    """The probable kind of a file without cameras, and advice."""
     keys = " ".join(given.keys).lower()
     advice = next((advice for pattern, advice in _SEEN if re.search(pattern, keys)), None) or (
         "expected the matrix M1 of a camera (or track_range_rig)",

@@ -108,7 +108,7 @@ def load_calibration(
 
 
 def missing_camera(path: Path, *, is_grey: bool = False) -> str:
-    """What a file with one camera lacks for a rig, for messages; RigError if the file is not a calibration."""
+    """The part that a file with one camera lacks for a rig, for messages; RigError if the file is not a calibration."""
     rig_format, text = format_of(path)
     return rig_format.missing(text, path, is_grey)
 

@@ -163,7 +163,7 @@ def _cameras(text: str, path: Path) -> list[_Camera]:
 
 def _checked(cameras: list[_Camera], path: Path) -> list[_Camera]:
     if not 1 <= len(cameras) <= 2:
-        raise RigError(f"{path}: expected {_TITLE} of one or two cameras, found {len(cameras)}; give one per camera.")
+        raise RigError(f"{path}: expected {_TITLE} of one or two cameras, found {len(cameras)}; give one file each.")
     return cameras
 
 
@@ -194,7 +194,7 @@ def _camera(content: object, path: Path) -> _Camera:
 
 
 def _pair(first: _Camera, second: _Camera, source: Path) -> RigCalibration:
-    """The rig of two cameras in any order: the right one has the smaller P[0, 3] / P[0, 0], -B."""
+    """The rig of two cameras in any order: the right camera has the smaller P[0, 3] / P[0, 0], -B."""
     offset_m, other_offset_m = (float(camera.info.p[0, 3] / camera.info.p[0, 0]) for camera in (first, second))
     left, right = (first, second) if offset_m >= other_offset_m else (second, first)
     if left.is_raw != right.is_raw:

@@ -68,7 +68,7 @@ def test_grey_pair_is_used_if_it_is_the_only_one(tmp_path: Path) -> None:
     rig, notes = load_rig(path, size_px=SIZE)
     assert rig.left.fx_px == 700
     assert len(notes) == 2
-    assert "cameras 0 and 1" in notes[0]
+    assert "cameras, 0 and 1" in notes[0]
 
 
 def test_kitti_raw_has_the_image_size(tmp_path: Path) -> None:

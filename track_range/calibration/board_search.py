@@ -168,4 +168,4 @@ def _no_charuco_message(board: CharucoBoard, samples: Sequence[Image], n_images:
         return f"{problem}, and no ArUco marker; the board must be well lit, with markers at least 20 px wide."
     if seen[board.dictionary] < seen[best]:
         return f"{problem}; the markers belong to the dictionary {best}; append it to --board."
-    return f"{problem}, but markers of {board.dictionary}; check the numbers of squares, columns first."
+    return f"{problem}, but its markers were found; check the numbers of squares, columns first."

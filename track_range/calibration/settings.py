@@ -39,7 +39,7 @@ _Drives = Annotated[
     ),
 ]
 
-_Rig = Annotated[Path | None, option("Calibration file (default: the one in the folder of the images).")]
+_Rig = Annotated[Path | None, option("Calibration file (default: the calibration file in the folder of the images).")]
 
 
 class BaselineOptions(Options):
@@ -154,10 +154,10 @@ class CalibrationSettings(Options):
     ] = None
     detector: Annotated[
         str | None,
-        option("Detector of the road users, a name or an ONNX file (default: the packaged one).", panel=_ROAD),
+        option("Detector of the road users, a name or an ONNX file (default: the packaged detector).", panel=_ROAD),
     ] = None
     curves: Annotated[
-        Path | None, option("Size curves, written by `track-range fit` (default: the packaged ones).", panel=_ROAD)
+        Path | None, option("Size curves, written by `track-range fit` (default: the packaged curves).", panel=_ROAD)
     ] = None
 
     @property
@@ -207,7 +207,7 @@ class StereoEvaluationSettings(Options):
             metavar="DIR",
         ),
     ]
-    rig: Annotated[Path | None, option("Calibration file (default: the one in the folder).")] = None
+    rig: Annotated[Path | None, option("Calibration file (default: the calibration file in the folder).")] = None
     matchers: Annotated[
         tuple[str, ...],
         option(

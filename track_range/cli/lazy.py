@@ -1,4 +1,4 @@
-"""Groups of commands whose modules are imported when one of them is invoked, and the layout of all help pages.
+"""Groups of commands whose modules are imported when a command is invoked, and the layout of all help pages.
 
 Help pages are plain text that reads well at 80 columns: options under their headings, then examples. Rich's boxes would
 show the types of values in a column, cut off long option names and leave 30 characters for texts.

@@ -58,7 +58,7 @@ def chosen_numbers(settings: type[_Settings], chosen: Mapping[str, Any]) -> _Set
 
 
 def first_problem(error: ValidationError) -> tuple[str, str]:
-    """Key of the first invalid value, such as "left.fx_px", and what was expected and found."""
+    """Key of the first invalid value, such as "left.fx_px", and the expected and the found value."""
     first = error.errors(include_url=False)[0]
     key = shortened(repr(".".join(str(part) for part in first["loc"] if part != "[key]"))[1:-1])
     error_type, limits = first["type"], first.get("ctx", {})

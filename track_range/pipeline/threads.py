@@ -65,7 +65,7 @@ def run_in_threads(
 
 
 def _admitted(frames: Iterable[Frame], slots: Semaphore) -> Iterator[Frame]:
-    """The frames, each of which is read when there is a slot for it."""
+    """The frames, each of which is read when a slot is free."""
     slots.acquire()
     for frame in frames:
         yield frame

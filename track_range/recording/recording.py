@@ -224,7 +224,7 @@ def open_recording(
         folder, sides = left, stereo_images(left)
         if sides is not None:
             left, right = sides
-            layout_notes = (f"{folder}: the left images are {left.name}, the right ones {right.name}.",)
+            layout_notes = (f"{folder}: the left images are {left.name}, the right images {right.name}.",)
     utc = None if start_utc is None else parsed_utc(start_utc)
 
     recorded = partial(open_video, folder_fps=folder_fps, start_s=start_s, duration_s=duration_s, bayer=bayer)
@@ -315,7 +315,7 @@ def _aligned(
     check: PairMonitor | None,
     progress: StepProgress,
 ) -> RecordingCalibration:
-    """A calibrated pair with its alignment and what `check` repairs; without its rig if the images do not fit it."""
+    """A calibrated pair with its alignment and the repairs of `check`; without its rig if the images do not fit it."""
     given = given_alignment(align, rig)
     started = calibration if given is None else calibration.with_alignment(given)
     with closing(_first_frames(started, pair, check)) as first_frames:

@@ -115,7 +115,7 @@ def read_run_folder(folder: Path, *, is_rounded: bool = True, has_events: bool =
 
 
 class _Reader:
-    """Reader of one folder; what is missing in it is collected as messages for the user."""
+    """Reader of one folder; missing files are collected as messages for the user."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder

@@ -39,7 +39,7 @@ _SIDE_VIEW = (
 
 
 def open_input(settings: RunSettings, progress: StepProgress = no_progress, rig: StereoRig | None = None) -> Recording:
-    """The recording of the settings, with `rig` instead of their calibration. Raises as `open_recording` does."""
+    """The recording of the settings, with `rig` instead of their calibration. Raises the errors of `open_recording`."""
     left, right = settings.stereo or (settings.left, None)
     return open_recording(
         left,

@@ -309,7 +309,7 @@ class StereoPipeline(Pipeline):
             ego_speed_mps: speed of the camera, negative = backwards; None or NaN = measured from the images.
 
         Raises:
-            FrameError: an image has another size or type than the first one, or the time does not increase.
+            FrameError: an image has another size or type than the first image, or the time does not increase.
             RigError: the first images do not fit the rig, or left and right are swapped.
             DetectorError, TrackerError, MethodError: an object of another package returned something else.
         """
@@ -337,7 +337,7 @@ def _known_motion(ego_speed_mps: float | None) -> EgoMotion | None:
 
 
 def _checked(image: Any, name: str, *, is_left: bool) -> Image:
-    """An image as (H, W, 3) uint8 BGR; the right one may be grey."""
+    """An image as (H, W, 3) uint8 BGR; a right image may be grey."""
     if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.ndim not in (2, 3) or 0 in image.shape:
         got = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
         raise FrameError(f"{name}: expected an image, uint8 (H, W, 3) in BGR or (H, W), found {got}.")

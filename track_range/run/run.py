@@ -363,7 +363,7 @@ class Run:
         return self.session.rows.table.to_arrow()
 
     def to_pandas(self) -> pd.DataFrame:
-        """Rows so far as a pandas data frame, as `to_arrow`.
+        """Rows so far as a pandas data frame; see `to_arrow`.
 
         Raises:
             ImportError: pandas is not installed.

@@ -257,7 +257,7 @@ class RunSession:
             *(note for note in pipeline.notes if note not in (*boxes, *lanes)),
             *lanes,
             *([] if speed is None else [speed]),
-            *([] if odometry is None else [f"The ego speed is from {odometry.source}; --ego-speed off ignores it."]),
+            *([] if odometry is None else [f"The ego speed comes from {odometry.source}; --ego-speed off ignores it."]),
             *self.meter.notes,
         ]
         return [self._without_paths(note) for note in notes] if settings.anonymize else notes

@@ -70,7 +70,7 @@ class Gallery:
         )
 
     def initiate(self, embedding: Descriptors) -> Gallery:
-        """These tracks and a new one for each row of `embedding` (M, D), of length 1 or zeros."""
+        """These tracks and a new track for each row of `embedding` (M, D), of length 1 or zeros."""
         new = np.repeat(np.asarray(embedding, np.float32)[:, None], self.embedding.shape[1], axis=1)
         return self.concatenate(Gallery(new, self.mean_memory))
 
@@ -116,7 +116,7 @@ class Gallery:
 
 
 def _common_length(a: Descriptors, b: Descriptors) -> int:
-    """D of two (N, K, D) arrays; one of them may have D = 0."""
+    """D of two (N, K, D) arrays; one array may have D = 0."""
     lengths = {a.shape[2], b.shape[2]} - {0}
     if len(lengths) > 1:
         raise ValueError(f"expected embeddings of equal length, got {a.shape[2]} and {b.shape[2]} numbers")

@@ -224,7 +224,7 @@ class CocoFile:
             return self._identities.setdefault(name, len(self._identities))
         self._has_numbers = True
         if self._identities:
-            raise self._fault(where, f"a text as {key}, as in the objects before", name)
+            raise self._fault(where, f"a text as {key}, as in the earlier objects", name)
         return self._integer(item, key, where, -1, MAX_ID)
 
     def _id(self, item: _Object, key: str, where: str) -> int | str:

@@ -107,8 +107,8 @@ def read_cvat(path: Path, video: VideoFacts) -> BoxTable:
     )
     if facts.n_frames is not None and len(table) and table.frame[-1] >= facts.n_frames:
         raise LabelFileError(
-            f"{path}: expected boxes up to frame {facts.n_frames - 1}, the last of the task, found one in frame "
-            f"{table.frame[-1]}."
+            f"{path}: expected boxes up to frame {facts.n_frames - 1}, the last frame of the task, found a box in "
+            f"frame {table.frame[-1]}."
         )
     check_identities(table, path)
     return table
@@ -258,7 +258,7 @@ def _interpolated(path: Path, boxes: _Boxes, tracks: Sequence[_Track], *, has_re
         )
     counts = np.where(boxes["is_outside"], 0, steps)
     if counts.sum() > MAX_BOXES:  # before memory is used for them
-        raise LabelFileError(f"{path}: expected at most {MAX_BOXES} boxes, found more, including interpolated ones.")
+        raise LabelFileError(f"{path}: expected at most {MAX_BOXES} boxes, found more, including interpolated boxes.")
     if has_repeated:
         _interpolate_repeated(boxes)
     before = np.repeat(np.arange(len(boxes)), counts)

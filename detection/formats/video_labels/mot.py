@@ -236,7 +236,7 @@ def mot_rows(rows: NumberRows, *, n_frames: int | None = None, form: str | None 
         lambda cells: f"expected an integer as the class, found {shortened(','.join(cells))}",
     )
     if name == "aicity" and len(np.unique(rows.values[:, 0])) > 1:
-        raise rows.error(f"{path}: expected the rows of one camera of AI City, found several; split the file.")
+        raise rows.error(f"{path}: expected the rows of one camera of AI City, found several cameras; split the file.")
     first = first_frame_number(frame, layout.first, n_frames)
     notes = []
     if first != layout.first:

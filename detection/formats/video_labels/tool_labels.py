@@ -1,6 +1,6 @@
 """Reader of labels of annotation tools and data sets in JSON, XML and CSV, as one file or one file for each image.
 
-`LAYOUTS` has a row for each layout: what identifies it in the first 64 kB, and a function that lists its boxes. Boxes
+`LAYOUTS` has a row for each layout: the marks in the first 64 kB, and a function that lists its boxes. Boxes
 have the corner convention, where the left edge of the image is 0, except in Scalabel (BDD100K) and Supervisely, whose
 edges are the first and last pixel. Frames are given by number, or by the last number in the name of the image.
 
@@ -250,7 +250,7 @@ def _detrac(content: Any) -> Iterator[_Box]:
 
 
 class Layout(NamedTuple):
-    """A layout: its title, what identifies it in the first 64 kB of a file, and a function that lists the boxes."""
+    """A layout: its title, the marks of its files in their first 64 kB, and a function that lists the boxes."""
 
     title: str
     mark: str  # regular expression
@@ -340,7 +340,7 @@ def _read(path: Path, layout: Layout, video: VideoFacts) -> BoxTable:
     edges = np.array([box.edges for box in boxes], np.float64).reshape(-1, 4)
     if not (np.abs(edges) <= MAX_COORDINATE_PX).all():
         raise LabelFileError(
-            f"{path}: expected box coordinates of at most {MAX_COORDINATE_PX:g} pixels, found larger or invalid ones."
+            f"{path}: expected box coordinates of at most {MAX_COORDINATE_PX:g} pixels, found larger or invalid values."
         )
     is_box = (edges[:, 2:] > edges[:, :2]).all(axis=1)
     sizes = {size for box in boxes if (size := _size_px(box.size_px)) is not None}

@@ -323,7 +323,7 @@ class _Terms:
         )
 
     def _start_from(self, theta: FloatArray) -> None:
-        """Fix what must not depend on the parameters during a fit.
+        """Fix the quantities that must not depend on the parameters during a fit.
 
         These are the standard deviations, and f / Z' in px/m of other road users with Z' by size, which would repeat
         what the shapes of their boxes contribute to the prior of f.

@@ -191,7 +191,7 @@ def _numpy_text(path: Path) -> str:
     except Exception as reason:  # the parsers of archives and headers raise a dozen unrelated types
         problem = shortened(str(reason).partition("\n")[0], 100)
         if "object" in problem:
-            raise RigError(f"{path}: expected {EXPECTED}, found a pickled object in it, {_PICKLE_ADVICE}.") from reason
+            raise RigError(f"{path}: expected {EXPECTED}, found a pickled object, {_PICKLE_ADVICE}.") from reason
         raise RigError(f"{path}: expected {EXPECTED} as arrays of NumPy, found an error: {problem}.") from reason
     return json.dumps({name: _listed(array) for name, array in arrays.items()}, allow_nan=False)
 

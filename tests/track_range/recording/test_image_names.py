@@ -125,7 +125,7 @@ def test_left_and_right_of_one_folder(tmp_path, level: Level, number_in: NumberI
         assert [number_in(frame.image) for frame in open_video(path)] == [n + 4 * side for n in range(3)]
     recording = open_recording(tmp_path, stereo_layout="auto", has_checks=False)
     assert [number_in(video.first_image) for video in recording.videos if video.first_image is not None] in ([], [4])
-    assert any("the right ones" in note for note in recording.notes)
+    assert any("the right images" in note for note in recording.notes)
     recording.close()
 
 

@@ -1,4 +1,4 @@
-"""What a part of a video shows of its camera (boxes of road users, rows of the horizon), and known metres in it.
+"""Evidence of a video about its camera (boxes of road users, rows of the horizon), and known metres in the video.
 
 Frames are read at `STEP_S`, as close as the tracker needs them. The horizon comes from the lines of the ego lane, where
 they meet, and from the direction of travel (epipole), which is parallel to the road. Known metres are given as on the

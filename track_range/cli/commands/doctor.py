@@ -173,7 +173,7 @@ def _device_text(device: Device) -> str:
 
 @cache
 def _drive() -> tuple[tempfile.TemporaryDirectory[str], Drive]:
-    """A folder that lasts as long as the program, and one second of a simulated drive in it."""
+    """A folder that lasts as long as the program, and one second of a simulated drive in this folder."""
     from track_range.simulation.drive import write_drive
     from track_range.simulation.render.renderer import kitti_like_rig
 

@@ -25,7 +25,7 @@ class ReportOptions(Options):
         Path | None,
         option(
             "Page to write (default: report.html in the folder of a single run, comparison.html in the current folder "
-            "for several).",
+            "for several runs).",
             metavar="FILE",
         ),
     ] = None

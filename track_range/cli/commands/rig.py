@@ -23,7 +23,7 @@ from track_range.stereo.rig_formats.rig_yaml import save_camera, save_rig
 from track_range.stereo.rig_formats.template import rig_template
 from track_range.views.report.tables import Column, grid_of
 
-_Size = Annotated[str | None, option("Size of the images in pixels, for formats without it.", metavar="WIDTHxHEIGHT")]
+_Size = Annotated[str | None, option("Image size in pixels, for formats without a size.", metavar="WIDTHxHEIGHT")]
 _Unit = Annotated[
     str | None, option("Unit of the lengths in the file, if track-range reads the wrong unit.", metavar="mm|cm|m")
 ]
@@ -58,7 +58,7 @@ class TemplateOptions(Options):
     """Options of `track-range rig template`."""
 
     source: Annotated[Path, option("Calibration file of any kind.", metavar="FILE", is_argument=True)]
-    out: Annotated[Path | None, option("File to write; without it, the text is printed.")] = None
+    out: Annotated[Path | None, option("File to write (default: the text is printed).")] = None
     unit: _Unit = None
 
 
@@ -218,7 +218,7 @@ app = lazy_app(
         ),
         "check": Lazy(
             "track_range.cli.commands.align:check_app",
-            "Measure on a drive how far distances are off with a rig.",
+            "Measure the distance errors of a rig on a drive.",
             "The drive goes past static objects; no distance has to be known. `align` writes the correction.",
             ("track-range rig check --stereo left.mp4 right.mp4 --rig rig.yaml",),
         ),

@@ -26,7 +26,7 @@ def _simulate(settings: SimulationSettings) -> None:
     if settings.stereo_layout is not None:
         pair = f"{drive.left} --stereo-layout {settings.stereo_layout}"
     command = f"track-range --stereo {pair} --rig {drive.rig} --truth {drive.table}{rate}"
-    print_line(console, f"Written: {settings.out}. To process it:", f"  {command}")
+    print_line(console, f"Written: {settings.out}. To process the drive:", f"  {command}")
 
 
 app = command(SimulationSettings, _simulate)

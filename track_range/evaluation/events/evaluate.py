@@ -219,7 +219,7 @@ _TALL_CLASSES = ("bus", "truck", "van")
 
 
 def closing_errors(columns: Columns, boxes: Truth, vans: Collection[int] = ()) -> dict[str, Any]:
-    """Errors of the closing speeds of a run by class of the label, and of tall vehicles; figures as `score_closing`.
+    """Errors of the closing speeds of a run by class of the label, and of tall vehicles; figures as in `score_closing`.
 
     `vans` are numbers of objects that are vans, for labels with the class car.
     """

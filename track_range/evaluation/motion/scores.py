@@ -59,7 +59,7 @@ def _by_band_and_class(truth: LabelledMotion, values: FloatArray) -> dict[str, A
 
 
 def speed_figures(values: FloatArray, rows: BoolArray) -> dict[str, float | None]:
-    """Coverage and errors of speeds, sigmas and true speeds (3, N) in m/s, in the rows (N,); None without an answer."""
+    """Coverage and errors of speeds, sigmas and true speeds (3, N) in m/s, in the rows (N,); None without values."""
     speed_mps, sigma_mps, true_mps = values
     known = rows & np.isfinite(true_mps)
     answered = known & np.isfinite(speed_mps) & (sigma_mps < MAX_SIGMA_MPS)

@@ -25,14 +25,14 @@ class MotionEvaluationSettings(Options):
             "clips, which a run measures); or nuscenes (a COCO file of mono3d labels)."
         ),
     ] = "kitti"
-    calib: Annotated[Path | None, option("Folder of KITTI calibration files with the same names.", metavar="DIR")] = (
-        None
-    )
+    calib: Annotated[
+        Path | None, option("Folder of KITTI calibration files, named like the labels.", metavar="DIR")
+    ] = None
     poses: Annotated[
         Path | None,
         option(
-            "Folder of poses with the same names: a row of 12 numbers per frame, the 3 x 4 matrix from the camera to "
-            "the first camera in metres.",
+            "Folder of poses, named like the labels: a row of 12 numbers per frame, the 3 x 4 matrix from the camera "
+            "to the first camera in metres.",
             metavar="DIR",
         ),
     ] = None

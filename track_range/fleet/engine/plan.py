@@ -1,4 +1,4 @@
-"""Plan of a fleet: what every worker has to know, and the hash of the settings that all clips have in common."""
+"""Plan of a fleet: the data for every worker, and the hash of the settings that all clips have in common."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class ClipProgress:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FleetPlan:
-    """What every worker has to know: settings of the fleet, and options of the runs by name of the setting."""
+    """The data for every worker: settings of the fleet, and options of the runs by name of the setting."""
 
     settings: FleetSettings
     options: Mapping[str, Any]

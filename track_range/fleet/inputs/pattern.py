@@ -77,7 +77,7 @@ class FilePattern:
         """The pattern of `--pattern`; raises FleetInputError if it does not determine the videos of a clip."""
         names = text.split(",")
         if len(names) > 2 or not all(name.strip() for name in names):
-            raise _fault(text, "expected the name of one video, or of the left and the right one separated by a comma.")
+            raise _fault(text, "expected the name of one video, or of left and right video separated by a comma.")
         left, *others = (Template.of(name.strip().removeprefix("./"), "--pattern") for name in names)
         for template in (left, *others):
             _check(template)

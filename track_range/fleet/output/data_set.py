@@ -109,13 +109,13 @@ def publish(out: Location, location: Location, content: Path | bytes) -> None:
 
 
 def remove_unfinished(out: Location) -> None:
-    """Remove what killed workers have left, as far as possible."""
+    """Remove files that killed workers have left, as far as possible."""
     if out.is_local:
         shutil.rmtree(out.path / UNFINISHED, ignore_errors=True)
 
 
 def publish_event_videos(out: Location, name: str, files: Collection[Path]) -> None:
-    """Publish the videos of the events of a clip, and remove videos of an earlier result; raises as `publish`."""
+    """Publish the videos of the events of a clip, and remove videos of an earlier result; errors as from `publish`."""
     folder = runs_location(out, name).child(CLIPS_FOLDER)
     for file in files:
         publish(out, folder.child(file.name), file)
@@ -126,7 +126,7 @@ def publish_event_videos(out: Location, name: str, files: Collection[Path]) -> N
 
 
 def publish_record(out: Location, row: Row) -> None:
-    """Publish the record of a clip, after which the clip is complete; raises as `publish`."""
+    """Publish the record of a clip, after which the clip is complete; raises the errors of `publish`."""
     text = json.dumps(row, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     publish(out, _journal_location(out, row["clip"]), text.encode())
 
@@ -150,7 +150,7 @@ class ClipTable:
     """
 
     def __init__(self, out: Location) -> None:
-        """Read the rows of earlier runs; raises as `read_clips`."""
+        """Read the rows of earlier runs; raises the errors of `read_clips`."""
         self._out = out
         self.table = _compiled(out)
         names = _journal_names(out)
@@ -189,7 +189,7 @@ class ClipTable:
             self.compile()
 
     def compile(self, *, is_sorted: bool = False) -> None:
-        """Write clips.parquet, then remove the rows in it from the journal; raises as `write_clips`."""
+        """Write clips.parquet, then remove the rows in it from the journal; raises the errors of `write_clips`."""
         from pyarrow import default_memory_pool
 
         start_s = time.monotonic()
@@ -225,7 +225,7 @@ class ClipTable:
 
 
 def write_clips(out: Location, table: pa.Table, *, is_sorted: bool = False) -> None:
-    """Write clips.parquet, in the order of the clips if `is_sorted`; raises as `publish`."""
+    """Write clips.parquet, in the order of the clips if `is_sorted`; raises the errors of `publish`."""
     import pyarrow as pa
     import pyarrow.compute as pc
     from pyarrow import parquet
@@ -252,7 +252,7 @@ def _compiled(out: Location) -> pa.Table:
         table.column("clip"), table.column("settings_hash")
     except (ArrowException, OSError, ValueError, LookupError) as error:
         raise FleetError(
-            f"{location}: expected the table of a fleet, found a damaged or other file ({shortened(str(error))}); "
+            f"{location}: expected the table of a fleet, found another or a damaged file ({shortened(str(error))}); "
             "choose another --out, or remove the file to process all clips again."
         ) from error
     if version > SCHEMA_VERSION:

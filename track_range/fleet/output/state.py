@@ -51,7 +51,7 @@ class FleetState:
     workers: Sequence[Mapping[str, Any]] = ()
 
     def write(self, out: Location) -> None:
-        """Write fleet.json; raises as `publish`."""
+        """Write fleet.json; raises the errors of `publish`."""
         content = {"track_range_fleet": 1, **asdict(self), "video_s": round(self.video_s, 3)}
         publish(out, out.child(STATE_FILE), json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False).encode())
 
@@ -129,7 +129,7 @@ def locked_output(out: Location) -> Iterator[None]:
 
 
 def status_lines(out: Location) -> Iterator[str]:
-    """Lines of text about a fleet; raises as `read_clips`, and FleetError if there is no fleet."""
+    """Lines of text about a fleet; raises the errors of `read_clips`, and FleetError if there is no fleet."""
     state, table = read_state(out), read_clips(out)
     if state is None and not table.num_rows:
         raise FleetError(f"{out}: expected the results of `track-range fleet run`, found neither fleet.json nor clips.")

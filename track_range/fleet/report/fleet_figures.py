@@ -97,7 +97,7 @@ def event_video(row: Mapping[str, Any]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class FleetFigures:
-    """Figures of a fleet and, by name, what links to the ranked clips need."""
+    """Figures of a fleet and, by name, the data for links to the ranked clips."""
 
     figures: Figures  # as in the JSON file (docs/how-to/fleet.md)
     files: Mapping[str, tuple[str, ...]]  # published files

@@ -208,7 +208,7 @@ class Location:
             raise
 
     def exists(self) -> bool:
-        """Whether there is such a file or folder; raises as `stat`."""
+        """Whether there is such a file or folder; raises the errors of `stat`."""
         return self.stat() is not None
 
     def list(self, *, recursive: bool = False) -> Iterator[Entry]:
@@ -257,7 +257,7 @@ class Location:
     def download(self, file: Path, max_bytes: int = 1 << 62) -> int:
         """Copy this file to a local path, which is incomplete if an error is raised; returns its size in bytes.
 
-        Raises as `read_bytes`, and if the local file cannot be written.
+        Raises the errors of `read_bytes`, and an error if the local file cannot be written.
         """
         with storage_errors(file, "written"), open(file, "wb") as target:
             return sum(target.write(block) for block in self._blocks(max_bytes))
@@ -277,7 +277,7 @@ class Location:
                 while block := stream.read(_BLOCK_BYTES):
                     size += len(block)
                     if size > max_bytes:
-                        raise StorageError(f"{self}: expected a file of at most {max_bytes} bytes, found a larger one.")
+                        raise StorageError(f"{self}: expected a file of at most {max_bytes} bytes, found more.")
                     yield block
 
     def write_bytes(self, content: bytes) -> None:

@@ -82,7 +82,7 @@ class CsvTable:
 def read_csv_table(
     path: Path, error: type[Exception], expected: str, *, default_header: Sequence[str] = (), exact: bool = False
 ) -> CsvTable:
-    """Read a CSV file in UTF-8 with a header line; `expected` is what it should hold, such as "columns time_s".
+    """Read a CSV file in UTF-8 with a header line; `expected` is the expected content, such as "columns time_s".
 
     Columns may be separated by semicolons or tabs instead of commas; then decimals may have a comma. `default_header`
     names the columns of a file whose first line has no column names. Rows with missing cells, or one separator at

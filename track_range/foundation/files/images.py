@@ -49,7 +49,7 @@ def read_image(
             size_px = header_size_px(file)
             n_bytes = file.seek(0, os.SEEK_END)
             if size_px is None or 0 in size_px:
-                content = "a file of another format or a damaged one" if n_bytes else "an empty or damaged file"
+                content = "a file of another format, or a damaged file" if n_bytes else "an empty or damaged file"
                 raise error(f"{path}: expected {expected} (PNG, JPEG, BMP, TIFF, WebP, PGM or PPM), found {content}.")
             check_size(path, size_px, error)
             max_bytes = _MAX_PIXEL_BYTES * size_px[0] * size_px[1] + _MAX_EXTRA_BYTES

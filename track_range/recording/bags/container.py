@@ -1,4 +1,4 @@
-"""Bag: messages by topic in files of the formats MCAP, ROS 2 (SQLite) and ROS 1, and what their readers share.
+"""Bag: messages by topic in files of the formats MCAP, ROS 2 (SQLite) and ROS 1, and the common parts of their readers.
 
 rosbags' AnyReader refuses MCAP files with Foxglove's messages, files that are cut off and unusual suffixes, and it does
 not see the journal that a killed recorder leaves. So each format has one reader here, for whole and for cut files.

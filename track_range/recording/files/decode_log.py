@@ -77,7 +77,7 @@ class DecodeLog:
         self.last_s, self.end_s = time_s, time_s + duration_s
 
     def image(self, image: Image) -> None:
-        """Count an image that exactly repeats the previous one while the images around both differ, as if moving."""
+        """Count an image that exactly repeats the previous image, if the images before and after the two differ."""
         sample = image[::_SAMPLE_STEP, ::_SAMPLE_STEP].copy()
         is_repeat = self._sample is not None and np.array_equal(sample, self._sample)
         self.n_repeated += self._repeats == (False, True) and not is_repeat

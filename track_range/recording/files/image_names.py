@@ -136,7 +136,7 @@ def _numbered(files: Sequence[Path], folder: Path, notes: list[str]) -> list[tup
             if n_missing := column[-1] - column[0] + 1 - len(files):
                 notes.append(
                     f"{folder}: {counted(n_missing, 'number is', 'numbers are')} missing between {files[0].name} and "
-                    f"{files[-1].name}, and treated as dropped frames."
+                    f"{files[-1].name}, and are treated as dropped frames."
                 )
             return list(zip(column, files, strict=True))
     notes.append(

@@ -143,7 +143,7 @@ class LiveVideo:
                 f"{received} received, {self.n_taken} processed, {n_dropped} dropped (not paired, or processing too "
                 "slow)"
             )
-            processed += "" if self._every == 1 else f", the others left out by --every {self._every}"
+            processed += "" if self._every == 1 else f", other frames left out by --every {self._every}"
             notes.append(f"{self.path}: {processed}.")
         return tuple(notes)
 

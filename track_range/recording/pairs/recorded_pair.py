@@ -137,9 +137,8 @@ class RecordedPair(VideoPair[RecordedVideo]):
         if not self._n_pairs:
             spans = [f"{side.video.path} ({side.first_s:.2f} s to {side.end_s:.2f} s)" for side in self._sides]
             raise VideoError(
-                f"{spans[0]} and {spans[1]}: expected frames at most {self.tolerance_s:.3f} s apart, the nearest are "
-                f"{self._nearest_s:.3f} s apart; use two videos of one recording, from cameras with synchronised "
-                "clocks."
+                f"{spans[0]} and {spans[1]}: expected frames at most {self.tolerance_s:.3f} s apart, found none nearer "
+                f"than {self._nearest_s:.3f} s; use two videos of one recording, from cameras with synchronised clocks."
             )
 
     def _unpaired_notes(self, side: _Side, other: _Side) -> list[str]:

@@ -40,7 +40,7 @@ _SHOWN: dict[StereoLayout, str] = {
     "right-left": "beside each other, the left camera's on the right",
     "top-bottom": "below each other, the left camera's at the top",
     "bottom-top": "below each other, the left camera's at the bottom",
-    "tracks": "in two video tracks, the left camera's in the first one",
+    "tracks": "in two video tracks, the left camera's in the first track",
 }
 _SWAPPED: dict[StereoLayout, StereoLayout] = {"side-by-side": "right-left", "top-bottom": "bottom-top"}
 
@@ -87,12 +87,12 @@ def find_layout(video: RecordedVideo | LiveVideo, given: LayoutOption) -> FoundL
         return matched
     if any(has_second_view(path) for path in files_of(video.path)[:1]):
         raise VideoError(
-            f"{video.path}: expected the images of two cameras in one, found spatial video (MV-HEVC), of which only "
-            "the first view can be decoded; convert it to images beside each other, or use --mono."
+            f"{video.path}: expected the images of two cameras in one image, found spatial video (MV-HEVC), of which "
+            "only the first view can be decoded; convert it to images beside each other, or use --mono."
         )
     raise VideoError(
-        f"{video.path}: expected the images of two cameras in one, found no two halves that match; give the right "
-        "video as well, or --stereo-layout side-by-side, right-left, top-bottom, bottom-top or tracks (Python: "
+        f"{video.path}: expected the images of two cameras in one image, found no two halves that match; give the "
+        "right video as well, or --stereo-layout side-by-side, right-left, top-bottom, bottom-top or tracks (Python: "
         "stereo_layout), or use --mono."
     )
 

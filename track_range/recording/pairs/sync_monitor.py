@@ -238,7 +238,7 @@ class SyncMonitor:
         return len(self._entries) - 1 - max(shift, 0)
 
     def _fits(self, place: int, shift: int) -> bool:
-        """Whether a left image and the right one at a shift show the same moment, from the motion in both videos."""
+        """Whether a left image and the right image at a shift show the same moment, from the motion in both videos."""
         lag = self._measured(place, shift)
         return _is_same(lag) and not _is_other(self._measured(place, shift, is_of_right=True))
 

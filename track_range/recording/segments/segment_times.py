@@ -133,7 +133,7 @@ def paired_starts_s(plan: SegmentPlan, left: SegmentPlan) -> tuple[float, ...]:
 def _dated_starts_s(
     files: Sequence[SegmentFacts], stamps_s: Sequence[float], repeated_s: Repeated
 ) -> tuple[tuple[float, ...], list[float]]:
-    """Start times of dated files, and gaps after them: time jumps only where dates or equal frames prove it."""
+    """Start times of dated files, and gaps after them, which exist only where dates or equal frames prove a jump."""
     starts_s, gaps_s = [files[0].first_s], list[float]()
     for number, (before, after) in enumerate(itertools.pairwise(files)):
         end_s = starts_s[-1] + before.duration_s

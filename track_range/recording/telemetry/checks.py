@@ -174,7 +174,7 @@ def with_unit(track: TelemetryTrack) -> TelemetryTrack:
         found_mps = ratio.median * stated_mps
         raise TelemetryError(
             f"its speeds, {stated_mps:.3g} m/s in the median, contradict its positions, which show {found_mps:.3g} "
-            "m/s; no other unit explains it."
+            "m/s; no other unit explains the difference."
         )
     note = f"its speeds are in {unit} instead of {stated}, as the positions show; they were converted."
     factor = MPS_PER_UNIT[unit] / MPS_PER_UNIT[stated]

@@ -184,7 +184,7 @@ def _checked(ego: EgoSpeed, parts: Sequence[VideoPart]) -> tuple[EgoSpeed, tuple
 
 
 def _automatic(parts: Sequence[VideoPart], motion: Callable[[], MotionSeries], notes: tuple[str, ...]) -> SpeedSource:
-    """Ego speed from the telemetry inside or beside the video files; notes on what cannot be used."""
+    """Ego speed from the telemetry inside or beside the video files; notes on unusable files."""
     measured: MotionSeries | None = None
     for telemetry in candidates(parts):
         notes = (*notes, *telemetry.notes)

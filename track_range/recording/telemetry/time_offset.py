@@ -60,7 +60,7 @@ class MotionSeries:
 def estimated_offset(
     motion: MotionSeries, time_s: FloatArray, speed_mps: FloatArray, course_rad: FloatArray
 ) -> TimeOffset | None:
-    """Offset of telemetry against the motion of the images; None = too few samples, or nothing changes in them.
+    """Offset of telemetry against the motion of the images; None = too few samples, or samples without any change.
 
     The (M,) times in the video increase; speeds and courses, clockwise from north, are NaN where unknown.
     """

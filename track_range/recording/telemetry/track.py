@@ -87,5 +87,5 @@ def optional_package(package: str, source: str) -> Any:
         return import_module(package)
     except ImportError as error:
         raise TelemetryError(
-            f'{source}: reading it needs the package {package}; install it with: pip install "track-range[telemetry]"'
+            f'{source}: this file requires the package {package}; install it with: pip install "track-range[telemetry]"'
         ) from error

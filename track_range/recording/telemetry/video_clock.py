@@ -85,7 +85,7 @@ def on_video_clock(track: TelemetryTrack, part: VideoPart) -> tuple[TelemetryTra
             "with --start-utc."
         )
     zone_s, start_s = (together or fits)[0]
-    note = f"its times differ from the video's times by a time zone; {zone_s / 3600:+g} h added."
+    note = f"its times differ from the video's times by a time zone; {zone_s / 3600:+g} h are added."
     notes = (*track.notes, note) if zone_s and not is_local else track.notes
     return replace(track, time_s=track.time_s + zone_s - start_s, clock="video", notes=notes), _CLOCK_SIGMA_S
 
@@ -100,7 +100,7 @@ def check_covered(time_s: FloatArray, length_s: float, source: str) -> None:
     if fraction < _MIN_NAMED:
         raise TelemetryError(
             f"{source}: expected the times of the video, 0 to {length_s:.1f} s, found {time_s[0]:.1f} to "
-            f"{time_s[-1]:.1f} s, which cover {fraction:.0%} of it; give the file of this drive, or --start-utc."
+            f"{time_s[-1]:.1f} s, which cover {fraction:.0%} of the video; give the file of this drive, or --start-utc."
         )
 
 

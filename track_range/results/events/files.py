@@ -197,7 +197,7 @@ def read_events(path: str | Path, *, needed: Sequence[str] = NEEDED_COLUMNS) -> 
 
 
 def events_in_parquet(source: Any, name: object, *, needed: Sequence[str] = NEEDED_COLUMNS) -> tuple[Event, ...]:
-    """Events of an events.parquet, a path or an open file of pyarrow, as `read_events`; `name` is for messages."""
+    """Events of an events.parquet (a path or an open file of pyarrow); see `read_events`; `name` is for messages."""
     from pyarrow import ArrowException, parquet
 
     try:

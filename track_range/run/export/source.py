@@ -68,7 +68,7 @@ def boxes_of_run(run: RunFolder, camera: PinholeCamera | None) -> BoxTable:
 
 
 def processed_frames(run: RunFolder, *, is_live: bool) -> Sequence[int]:
-    """Numbers of the processed frames; of a killed run that may have dropped frames, those with rows."""
+    """Numbers of the processed frames; for a killed run that may have dropped frames, the frames with rows."""
     with_rows: list[int] = np.unique(run.columns["frame"]).astype(np.int64).tolist()
     n_frames, every = int(run.summary.get("frames") or 0), every_of(run.settings)
     spans = [range(first, last + 1, every) for first, last in run.summary.get("processed_frames") or ()]

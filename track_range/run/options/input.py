@@ -1,4 +1,4 @@
-"""Options of a run for its input: the videos, their calibration, and what is known about the recording."""
+"""Options of a run for its input: the videos, their calibration, and known facts about the recording."""
 
 from __future__ import annotations
 
@@ -83,8 +83,8 @@ class InputOptions(Options):
         _clip_option(
             "Calibration file, recognised by its content: rig.yaml, ZED's SN*.conf, DepthAI's (OAK) JSON, "
             "RealSense's, OpenCV's, MATLAB's, NumPy's, Kalibr's, EuRoC's, ROS's, KITTI's and others, or a folder of "
-            "such files (default: rig.yaml or calib.txt in the folder of the left video; without one, distances are "
-            "uncalibrated)."
+            "such files (default: rig.yaml or calib.txt in the folder of the left video; without such a file, "
+            "distances are uncalibrated)."
         ),
     ] = None
     focal_px: Annotated[

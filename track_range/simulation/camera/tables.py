@@ -4,7 +4,7 @@ truth.csv         exact ground truth of every labelled object in every frame, wi
                       frame,time_s,id,class,x1,y1,x2,y2,visible_share,distance_m,closing_mps,lane
                   `distance_m` is the z, in the left camera's frame, at which the ray through the box centre meets the
                   drawn body (KITTI's 3-D box is accurate to about 10 cm only); `closing_mps` is the rate at which z of
-                  the object's location decreases; `lane` counts from the ego lane, 1 = the next one to the right,
+                  the object's location decreases; `lane` counts from the ego lane, 1 = the next lane to the right,
                   empty = outside all lanes.
 truth.txt         rows of KITTI's tracking format
 contacts.csv      one row per contact of the ego vehicle, earliest first: object_id,class,contact_s

@@ -82,7 +82,7 @@ def visible_pieces(table: FaceTable, camera: PinholeCamera) -> Pieces:
 
 
 def projected(pieces: Pieces, camera: PinholeCamera) -> Projected:
-    """The pieces projected to the image, without those outside it."""
+    """The pieces projected to the image, without pieces outside the image."""
     matrix = camera.matrix
     corners = pieces.corners
     xyw = corners @ matrix.T

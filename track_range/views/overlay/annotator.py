@@ -44,7 +44,7 @@ class Overlay:
     """Draws the results of one video in their order; not thread-safe.
 
     The bird's-eye view needs the camera of the images. The texts of `status` follow frame number and time in the upper
-    left corner, `warning` follows them in amber. `recorded` is what undistorted the images of a wide lens: boxes are
+    left corner, `warning` follows them in amber. `recorded` is the undistorter of the images of a wide lens: boxes are
     drawn, as curves, on the images before this step; None = on the left images.
     """
 

@@ -106,7 +106,7 @@ def test_the_note_names_column_unit_and_reason(tmp_path):
         "evidence": "the speed is gps_speed_kmh in km/h, as stated and as the positions show; not ego_speed_mps.",
         "wrong unit": "the speed is speed_mps in km/h, as the positions show, not in m/s as stated.",
         "GPS and OBD": (
-            "the speed is speed (obd)(km/h) in km/h, as stated; no positions confirm it; not gps speed (km/h)."
+            "the speed is speed (obd)(km/h) in km/h, as stated; no positions confirm the unit; not gps speed (km/h)."
         ),
     }.items():
         assert read(tmp_path, table(LAYOUTS[name])).notes[0] == expected
@@ -140,7 +140,7 @@ def test_one_value_per_row(tmp_path):
 
 
 REFUSED = {
-    "one component": (EPOCH | {"velocity_east (m/s)": cells(V)}, "only the component 'velocity_east .* add the other"),
+    "one component": (EPOCH | {"velocity_east (m/s)": cells(V)}, "only the component 'velocity_east .* add the rest"),
     "only a lead car": (EPOCH | {"lead_speed_kmh": cells(V)}, None),
     "two that differ": (EPOCH | {"speed_a_kmh": cells(V), "speed_b_kmh": cells(3 * V)}, "which differ"),
     "no unit, no positions": (EPOCH | {"speed": cells(V)}, "expected a unit"),
@@ -295,7 +295,7 @@ def test_a_named_file_of_another_drive(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text(table({"time_s": cells(T + 700), "speed_mps": cells(V)}))
     assert _is_table(path)
-    with pytest.raises(TelemetryError, match="cover 0% of it"):
+    with pytest.raises(TelemetryError, match="cover 0% of the video"):
         _checked(open_ego_speed(str(path)), [part(duration_s=60.0)])
     path.write_text(table({"time_s": cells(T)} | POSITIONS | {"speed_mps": cells(V)}))
     assert not _is_table(path)  # its speeds are compared with its positions

@@ -19,7 +19,7 @@ app = lazy_app(
         ),
         "status": Lazy(
             "track_range.cli.commands.fleet.report:status_app",
-            "Show the progress of a fleet, during a run and after it.",
+            "Show the progress of a fleet, during and after a run.",
             examples=("track-range fleet status results",),
         ),
         "report": Lazy(

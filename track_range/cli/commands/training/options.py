@@ -137,7 +137,7 @@ class TrainOptions(Options):
     ] = 0
     precision: Annotated[
         Literal["auto", "float32", "bfloat16", "float16"],
-        option("Number format for training; auto = the fastest on the device.", panel=_TRAINING),
+        option("Number format for training; auto = the fastest format on the device.", panel=_TRAINING),
     ] = "auto"
     validate_every: Annotated[
         int, option("Number of epochs between validations.", metavar="N", panel=_TRAINING, ge=1)

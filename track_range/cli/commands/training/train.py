@@ -1,4 +1,4 @@
-"""`track-range train` and `anchors`; PyTorch is imported when one of them runs."""
+"""`track-range train` and `anchors`; PyTorch is imported when one of the commands runs."""
 
 from track_range.cli.commands.training.options import AnchorOptions, TrainOptions
 from track_range.cli.parameters import command

@@ -132,7 +132,7 @@ def _chosen(
             column.unit, f"as the positions show, not in {column.unit} as stated"
         )
     elif stated:
-        column, unit, how = stated[0], stated[0].unit or "m/s", "as stated; no positions confirm it"
+        column, unit, how = stated[0], stated[0].unit or "m/s", "as stated; no positions confirm the unit"
         rivals = [other for other in stated if other.rank == column.rank and _differ(other, column)]
         if rivals:
             raise TelemetryError(
