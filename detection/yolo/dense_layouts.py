@@ -282,8 +282,7 @@ def boxes_and_scores(network: NetworkOutputs) -> Iterator[YoloModel]:
         has_background = n_columns - 1 in (network.n_names, *(() if network.n_names else (80, 20)))
         for name in (_SSD_PAIRS if has_background else _PAIRS).split():
             family, code, form = _READINGS[name]
-            is_last = name.endswith("-last")
-            kept, other = (slice(0, -1), slice(-1, None)) if is_last else (slice(1, None), slice(0, 1))
+            kept, other = (slice(0, -1), slice(-1, None)) if name.endswith("-last") else (slice(1, None), slice(0, 1))
             rows = BoxRows(
                 boxes=Part(boxes),
                 scores=part,
@@ -376,8 +375,7 @@ def fastest_heads(network: NetworkOutputs) -> Iterator[YoloModel]:
             )
         )
     layout = f"heads {list(shapes[0])}, {list(shapes[1])}: boxes and objectness of {n} anchors, classes"
-    form = replace(_STRETCHED, colours="bgr")
-    yield _model("Yolo-FastestV2", "yolo-fastestv2", layout, n_classes, form, levels)
+    yield _model("Yolo-FastestV2", "yolo-fastestv2", layout, n_classes, replace(_STRETCHED, colours="bgr"), levels)
 
 
 def _n_classes(network: NetworkOutputs, n_columns: int) -> tuple[int, str]:

@@ -106,5 +106,4 @@ def _solve(boxes: BoxSet, *, use_width: bool) -> FloatArray:
     def residual(x: FloatArray) -> FloatArray:
         return np.asarray(design @ x - log_distance)
 
-    result = least_squares(residual, start, bounds=(low, high), loss="huber", f_scale=_HUBER_SCALE)
-    return np.asarray(result.x)
+    return np.asarray(least_squares(residual, start, bounds=(low, high), loss="huber", f_scale=_HUBER_SCALE).x)

@@ -57,8 +57,7 @@ class SpeedFilter:
             is_outlier = bool(np.abs(innovation)[0] > limit_mps[0])
             self._n_outliers = self._n_outliers + 1 if is_outlier else 0
             if not is_outlier:
-                variance = np.array([sigma_mps**2])
-                self._state = self._state.update(innovation, variance, valid=np.ones(1, np.bool_))
+                self._state = self._state.update(innovation, np.array([sigma_mps**2]), valid=np.ones(1, np.bool_))
                 self._measured_s = middle_s
             if self._n_outliers < _MAX_OUTLIERS:
                 return

@@ -111,8 +111,7 @@ class FramePipeline:
                 method = name.removesuffix("_kf")
                 shared = math.hypot(self.shared_sigma, in_doubt[method])
                 if shared:
-                    sigma_m = np.hypot(measured.sigma_m, shared * measured.distance_m)
-                    ranges[name] = replace(measured, sigma_m=sigma_m)
+                    ranges[name] = replace(measured, sigma_m=np.hypot(measured.sigma_m, shared * measured.distance_m))
                 if method == "fused":
                     rate_sigma_mps = np.hypot(motion.rate_sigma_mps, shared * motion.rate_mps)
             moved = replace(ego.motion, speed_sigma_mps=ego_sigma_mps)

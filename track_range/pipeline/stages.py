@@ -101,8 +101,7 @@ class DetectionStage:
         """The frame with its boxes."""
         frame, lanes, detect = prepared
         with clock.stage("detect"):
-            detections = detect()
-            return Detected(frame, lanes, detections, None if self.candidates is None else self.candidates(frame))
+            return Detected(frame, lanes, detect(), None if self.candidates is None else self.candidates(frame))
 
 
 class Ego(NamedTuple):

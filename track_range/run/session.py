@@ -296,8 +296,7 @@ class RunSession:
             return (*missed, *beyond)
         labels = self.truth.select(self.truth.class_id >= 0)
         frame = columns["frame"].astype(np.int64)
-        shift = frame_shift_note("--truth", labels.frame, labels.xyxy_px, frame, boxes_px(columns))
-        return (*missed, *beyond, *shift)
+        return (*missed, *beyond, *frame_shift_note("--truth", labels.frame, labels.xyxy_px, frame, boxes_px(columns)))
 
     def finish(self, videos: Mapping[str, str]) -> tuple[dict[str, Any], Columns]:
         """Content of summary.json, and the rows with the ground truth; `videos`: file names by video ("overlay")."""

@@ -82,8 +82,7 @@ def _bdd100k(content: Any) -> Iterator[_Box]:
                 crowd = (label.get("attributes") or {}).get("crowd", (label.get("attributes") or {}).get("Crowd"))
                 points = [[box["x1"], box["y1"]], [box["x2"], box["y2"]]]
                 identity = label.get("id") if frame is not None else None
-                score = label.get("score")
-                yield _Box(image, label["category"], _corners(points, 1), identity, score, crowd is True)
+                yield _Box(image, label["category"], _corners(points, 1), identity, label.get("score"), crowd is True)
 
 
 def _labelme(content: Any) -> Iterator[_Box]:
@@ -225,8 +224,7 @@ def _voc(content: Any) -> Iterator[_Box]:
             objects[-1].setdefault(element.path.removeprefix("annotation/object/"), element.text[0])
     for item in objects:
         edges = [float(item[f"bndbox/{name}"]) for name in ("xmin", "ymin", "xmax", "ymax")]
-        identity = item.get("track_id")
-        yield _Box(image, item["name"], edges, identity, size_px=(size.get("width"), size.get("height")))
+        yield _Box(image, item["name"], edges, item.get("track_id"), size_px=(size.get("width"), size.get("height")))
 
 
 def _detrac(content: Any) -> Iterator[_Box]:

@@ -57,8 +57,7 @@ def single(
     source: LabelledPixels, size_px: int, settings: AugmentationSettings, rng: np.random.Generator
 ) -> LabelledPixels:
     """A training image of side `size_px` from one image."""
-    part = _Part(slice(0, size_px), slice(0, size_px), (0, 0))
-    return _combined([source], [part], size_px, settings, rng)
+    return _combined([source], [_Part(slice(0, size_px), slice(0, size_px), (0, 0))], size_px, settings, rng)
 
 
 def mosaic(

@@ -69,7 +69,7 @@ def test_show_a_rig(tmp_path, cli):
         # f B / z = 700 * 0.5 / 10 = 35 px, 10 / 35 = 0.29 m per px; at 60 m 5.83 px, 10.29 m
         assert "35.00" in printed
         assert "10.29" in printed
-    assert "cameras 0 and 1" in printed
+    assert "cameras, 0 and 1," in printed
 
 
 def test_show_a_rotated_rig(tmp_path, cli):
