@@ -67,6 +67,13 @@ WORDS = [
     r"of them before",
     r"the ones that",
     r"found others",
+    r"found (?:a )?(?:larger|smaller|several|invalid|missing or damaged) ones?",
+    r"(?:inside|outside) of (?:the|a|its|it)(?= )",
+    r"so many of",
+    r"the only ones",
+    r"raises as",
+    r"the rest of (?:it|them)",
+    r"none if they are too few",
     r"with it(?=[.;] ?(?:[A-Z\"'`]|$))(?<!agree with it)",
 ]
 """Phrases of an earlier private idiom, as regular expressions of whole words; DESIGN's terms are used instead."""

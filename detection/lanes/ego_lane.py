@@ -75,7 +75,7 @@ def fit_lane(markings: Markings, expected: LaneState, lines: tuple[int, int] = (
 
 
 def _pixels(markings: Markings, state: LaneState, side: float, number: int, gate: float) -> BoolArray:
-    """(N,) mask of the markings that belong to a line; none if they are too few."""
+    """(N,) mask of the markings that belong to a line; none if there are too few."""
     x, y = markings.xy_px.T
     width_px = state.width_px(y)
     off_px = np.abs(x - state.x_px(y, side))

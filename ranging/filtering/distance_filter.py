@@ -208,7 +208,7 @@ class DistanceFilters:
         Args:
             by_method: distances with their total sigmas, of the same tracks in the same order, NaN = not measured;
                 methods without a filter are ignored.
-            time_s: time of the frame, not earlier than the previous frame's.
+            time_s: time of the frame, not earlier than the time of the previous frame.
             conditions: (N,) code of the condition of each measurement, by method; a change of the code is a change of
                 the systematic error.
             ego_speed_mps: current speed of the camera along its axis; NaN = unknown.

@@ -3,7 +3,7 @@
 The true distance is the z at which the ray through the label's box centre first meets its 3-D box, in the frame of the
 left colour camera (`ranging.evaluation.reference_distance`). Labels are used if they have a 3-D box at 5-100 m, are not
 truncated, have occluded <= 1 and one of five KITTI types, with vans as a separate class. Boxes come from the labels,
-possibly with added noise, or from a detector; the true distance is always the label's.
+possibly with added noise, or from a detector; the true distance is always the distance in the label.
 """
 
 from __future__ import annotations
@@ -237,7 +237,7 @@ def _rows(labels: KittiLabels, camera: PinholeCamera, shift_m: FloatArray) -> Bo
 
 
 def _image_size_px(labels: KittiLabels, camera: PinholeCamera) -> IntArray:
-    """(2,) width and height of the image: the camera's, KITTI's, or the smallest that contains the labels."""
+    """(2,) width and height of the image: of the camera, of KITTI, or the smallest that contains the labels."""
     if camera.width_px > 0:
         return np.array([camera.width_px, camera.height_px])
     for focal_px, size_px in _IMAGE_SIZE_PX.items():

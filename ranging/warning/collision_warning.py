@@ -198,7 +198,7 @@ class CollisionWarning:
             tracks: N tracks.
             motion: their filtered distances.
             lateral: their lateral motion.
-            time_s: time of the frame, not earlier than the previous frame's.
+            time_s: time of the frame, not earlier than the time of the previous frame.
             ego_mps: speed V of the ego vehicle; NaN = unknown.
             yaw_rad_s: its yaw rate, positive = to the right; NaN = unknown.
             ranges: their distances in this frame, not filtered, which confirm the closing speed; None = unknown.

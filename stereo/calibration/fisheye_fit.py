@@ -121,7 +121,7 @@ def _initial_cameras(views: Sequence[BoardView]) -> list[PinholeCamera]:
 def _solved(
     views: Sequence[Sequence[BoardView]], cameras: Sequence[PinholeCamera], right_from_left: FloatArray | None
 ) -> BlockSolution | None:
-    """The optimum for the views of one camera, or of two with their relative pose (4, 4); None = undetermined."""
+    """The optimum for views of one camera, or of two cameras with their relative pose (4, 4); None = undetermined."""
     sides = [_Corners(side) for side in views]
     order = np.argsort(np.concatenate([np.repeat(corners.view, 2) for corners in sides]), kind="stable")
     common = np.concatenate(

@@ -184,9 +184,9 @@ class RemappedView:
 class Undistorter(_UndistortedImages):
     """Removes the lens distortion from the images of one camera.
 
-    The images of a wide lens are undistorted to the horizontal field of view `fov_deg`, None = the lens's, up to 120
-    degrees, about an axis `yaw_deg` to the right of the camera's. The attribute `camera` is the ideal camera of the
-    undistorted images: the same matrix with square pixels, or the virtual pinhole of a wide lens.
+    The images of a wide lens are undistorted to the horizontal field of view `fov_deg` (None = the field of the lens,
+    up to 120 degrees) about an axis `yaw_deg` to the right of the camera's axis. The attribute `camera` is the ideal
+    camera of the undistorted images: the same matrix with square pixels, or the virtual pinhole of a wide lens.
     """
 
     def __init__(self, camera: PinholeCamera, *, fov_deg: float | None = None, yaw_deg: float = 0.0) -> None:
@@ -199,7 +199,7 @@ class Undistorter(_UndistortedImages):
     def undistort(self, image: Image) -> Image:
         """The image, (H, W) or (H, W, 3), without distortion; the same array if the camera has none.
 
-        Raises ValueError if the size of the image differs from the camera's.
+        Raises ValueError if the size of the image differs from the camera's image size.
         """
         _check_size(image, self.recorded_size_px, "image")
         return image if self._maps is None else _remapped(image, self._maps)

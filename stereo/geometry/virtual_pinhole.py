@@ -76,7 +76,7 @@ def virtual_pinhole(camera: PinholeCamera, fov_deg: float | None = None, yaw_deg
 
     `fov_deg` is the horizontal field of view within `FOV_LIMITS_DEG`, None = the view of the lens, up to the upper
     limit; parts that the lens does not image on one side are left out. `yaw_deg` is the direction of the pinhole's
-    axis, to the right of the camera's. Raises RigError if the lens images hardly anything there.
+    axis, to the right of the camera's axis. Raises RigError if the lens images hardly anything there.
     """
     half_rad = math.radians(FOV_LIMITS_DEG[1] if fov_deg is None else fov_deg) / 2
     focal_px = axial_focal_px(camera)

@@ -184,7 +184,7 @@ class RunRows:
 
     @property
     def seconds(self) -> float:
-        """Duration of the frames in seconds, including the last frame's."""
+        """Duration of the frames in seconds, including the duration of the last frame."""
         return self.last_s - self.starts_s + (1 / self.fps if self.fps else 0.0) if self.frame_index else 0.0
 
 

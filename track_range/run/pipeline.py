@@ -148,7 +148,7 @@ class Pipeline:
             align: correction of disparities: "auto" or None = estimated from the first frames in motion, "off", a file
                 of `track-range align`, or an alignment, such as `run.alignment`.
             keep_s: time for which rows and events are kept.
-            fov_deg: horizontal field of view to which images of wide lenses are undistorted; None = the lens's.
+            fov_deg: horizontal field of view to which images of wide lenses are undistorted; None = the full field.
             options: options of `track-range run` for detection, tracking and ranging, with underscores. `detector` and
                 `tracker` may also be objects with `detect` and `update`.
 

@@ -117,7 +117,7 @@ def test_large_coco_is_refused_by_its_size(tmp_path: Path) -> None:
         (CVAT.replace("<box ", "<points ").replace("</box>", "</points>"), "shape points"),
         (CVAT.replace('z_order="0"', 'rotation="12.5"'), "rotation"),
         (CVAT.replace('frame="2"', 'frame="x"'), "frame"),
-        (CVAT.replace('frame="2"', 'frame="3"'), "the last of the task"),
+        (CVAT.replace('frame="2"', 'frame="3"'), "the last frame of the task"),
         (CVAT.replace('frame="1"', 'frame="2"'), "two in frame 2"),
         (CVAT.replace('xbr="30.00"', 'xbr="3.00"'), "xtl"),
         (CVAT.replace('outside="0"', 'outside="maybe"'), "outside"),

@@ -58,7 +58,7 @@ def test_part_of_a_folder(folder: Path, level: Level) -> None:
     reader = open_video(folder, start_s=0.3, duration_s=0.4)
     assert [frame.index for frame in reader] == [3, 4, 5, 6]
     assert reader.n_frames == 4
-    with pytest.raises(VideoError, match=r"data: no frame from 1.20 s; .* 0.20 s"):
+    with pytest.raises(VideoError, match=r"data: there is no frame from 1.20 s; .* 0.20 s"):
         list(open_video(folder, start_s=1.0))
 
 
@@ -82,7 +82,7 @@ def test_backward_timestamps_are_skipped(folder: Path, level: Level) -> None:
     stamp(folder, ["51.1", "51.2", "51.2", "51.3"])
     reader = open_video(folder)
     assert [frame.index for frame in reader] == [0, 1, 3]
-    assert reader.notes[-1].startswith(f"{folder}: 1 image ")
+    assert reader.notes[-1].startswith(f"{folder}: skipped 1 image ")
 
 
 def test_timestamps_of_another_recording_are_not_used(folder: Path, level: Level) -> None:

@@ -31,7 +31,7 @@ def test_times_and_order_with_b_frames(tmp_path: Path, film: Film, number_in: Nu
     assert frames_of(reader, number_in) == [(number, time_s, number) for number, time_s in enumerate(UNEVEN_S)]
     assert (reader.width_px, reader.height_px) == (64, 48)
     (note,) = reader.notes
-    assert note.startswith(f"{reader.path}: 2 gaps")
+    assert note.startswith(f"{reader.path}: the timestamps have 2 gaps")
 
 
 def test_images_are_contiguous_bgr_arrays(tmp_path: Path, film: Film) -> None:
@@ -259,9 +259,9 @@ def test_file_is_deleted_between_readings(tmp_path: Path, film: Film) -> None:
 
 def test_start_after_the_end(tmp_path: Path, film: Film) -> None:
     path = film(tmp_path / "film.mp4", EVEN_S)
-    with pytest.raises(VideoError, match=r"film.mp4: no frame from 4.00 s"):
+    with pytest.raises(VideoError, match=r"film.mp4: there is no frame from 4.00 s"):
         list(open_video(path, start_s=4.0))
-    with pytest.raises(VideoError, match=r"film.mp4: no frame from 0.02 s"):
+    with pytest.raises(VideoError, match=r"film.mp4: there is no frame from 0.02 s"):
         list(open_video(path, start_s=0.02, duration_s=0.05))
 
 

@@ -32,7 +32,7 @@ _HOUR_S, _HOUR_TOLERANCE_S = 3600.0, 3.0  # gaps of whole hours are jumps of the
 
 MIN_STABLE_S, _MIN_STABLE_FRACTION = 10.0, 0.9
 """Shortest time with a fix, and smallest fraction of samples with a fix, after which a clock that was wrong before the
-fix is no reason to doubt the rest."""
+fix is no reason to doubt later samples."""
 
 _FIRST_DATE_S = 1_199_145_600.0  # 2008; receivers without a date state 1980, 2000 or 2004, or 1024 weeks ago
 

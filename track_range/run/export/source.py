@@ -124,7 +124,7 @@ def boxes_of_labels(path: Path, *, video: Path | None, first_frame: int) -> BoxT
 
 
 def frames_of_run(folder: Path) -> Iterator[tuple[int, Image]]:
-    """Number and rectified left image of each frame of a run; ConfigError, VideoError or RigError."""
+    """Number and rectified left image of each frame of a run. May raise ConfigError, VideoError or RigError."""
     with closing(open_input(settings_from({"align": "off"}, folder / "settings.yaml"))) as recording:
         for frame in recording.frames:
             yield frame.index, frame.left

@@ -100,7 +100,7 @@ def object_map(
 
     A pixel shows an object if the point drawn there is within its 3-D box and above the road.
     `inverse_depth` is (2 H, 2 W), for the samples in 1/m; `rotations` are (M, 3, 3), of all road users, from the
-    object's frame to the left camera's.
+    object's frame to the left camera's frame.
     """
     camera, labels = rig.left, visible.labels
     pixels = inverse_depth[::2, ::2]

@@ -3,9 +3,9 @@ r"""BirdsEye: inset with a bird's-eye view of the road, to scale: positions of t
 +---------+   Forward (z) is up, x is to the right, both at the same scale; horizontal lines mark distances. A track is
 | --- 40  |   a dot in its colour with a bar of one sigma in both directions along its ray; hollow = predicted; a ring
 |   |o    |   in amber or red = imminent collision. The range is one of `RANGES_M`: it grows immediately when a track
-| --|- 20 |   is farther, and shrinks when none has been for some seconds.
-|  \./    |   The inset is in the corner where it covers the fewest road users, and moves at most once per second; what
-+---------+   it would cover of them stays visible.
+| --|- 20 |   is farther, and shrinks when no track has been so far away for some
+|  \./    |   seconds. The inset is in the corner where it covers the fewest road users, and moves at most once per
++---------+   second; parts of road users under the inset stay visible.
 """
 
 from __future__ import annotations

@@ -61,4 +61,4 @@ def test_times_that_cannot_be_matched(given, video, word):
 def test_equal_length_without_a_date():
     result, _ = on_video_clock(track(START_S + 5, n=22), part(start_s=None))
     assert result.time_s[0] == 0.0
-    assert "equally long" in result.notes[0]
+    assert "as long as the telemetry" in result.notes[0]

@@ -103,7 +103,7 @@ class McapWriter:
             self._file.close()
 
     def _time_ns(self, result: FrameResult) -> int:
-        """Time of a frame, which is never before an earlier frame's."""
+        """Time of a frame, which is never before the time of an earlier frame."""
         if math.isfinite(result.utc_s):
             time_ns = round(result.utc_s * 1e6) * 1000
         else:

@@ -2,7 +2,7 @@
 
 town       a straight street without pitch or roll                  highway   three lanes, guard rails, 108 km/h
 city       a winding street, stop and go, buses, lights, signs      cut-in    a car cuts in closely ahead, and brakes
-crossing   the demo's: people and a cyclist cross the road          queue     stop and go, bumper to bumper
+crossing   of the demo: people and a cyclist cross the road          queue     stop and go, bumper to bumper
 empty      a country road without road users                        night     the city at night, by headlights
 
 The town is `scene.make_scene`.
