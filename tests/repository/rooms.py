@@ -33,16 +33,16 @@ class Room:
 
     passes: str
     may_import: tuple[str, ...]
-    words: str = "the above"
+    words: str = "all rooms above"
 
 
 def _rooms() -> dict[str, Room]:
     rooms: dict[str, Room] = {}
 
-    def add(name: str, passes: str, may_import: tuple[str, ...] | None = None, words: str = "the above") -> None:
+    def add(name: str, passes: str, may_import: tuple[str, ...] | None = None, words: str = "all rooms above") -> None:
         rooms[name] = Room(passes, tuple(rooms) if may_import is None else may_import, words)
 
-    add("foundation", "arrays, errors, options, registry, threads, files, robust statistics", (), "nothing of ours")
+    add("foundation", "arrays, errors, options, registry, threads, files, robust statistics", (), "no other room")
     add("detection", "images -> boxes, classes, lane lines; models; training", ("foundation",), "foundation")
     add("stereo", "cameras, rigs, rectification, disparity, alignment, odometry", ("foundation",), "foundation")
     add("tracking", "boxes -> identities; metrics", ("foundation", "detection"), "foundation, detection")
@@ -54,12 +54,12 @@ def _rooms() -> dict[str, Room]:
     add("views", "overlay, event clips, report, live view, anonymization, video files")
     add("run", "settings; recording + pipeline + results + views: `Run`, `Pipeline`, export")
     below = tuple(rooms)
-    not_each_other = "the above, not each other"
+    not_each_other = "the rooms from `foundation` to `run`"
     add("evaluation", "labelled data -> figures", below, not_each_other)
     add("simulation", "worlds -> drives with exact truth", below, not_each_other)
     add("fleet", "many recordings -> one data set", below, not_each_other)
     uses = (*rooms,)
-    add("api", "the front door of Python", uses, "all")
+    add("api", "the names of the Python API", uses, "all")
     add("cli", "the command line, one file per command", (*uses, "api"), "all")
     return rooms
 
