@@ -216,6 +216,18 @@ def test_one_camera(pair):
     assert next(by_rig.frames).right is None
 
 
+@pytest.mark.parametrize(("factor", "is_named"), [(1.0, False), (1.2, False), (1.5, True), (0.7, True)])
+def test_given_focal_length_against_metadata(tmp_path, factor, is_named):
+    image = pytest.importorskip("PIL.Image").new("RGB", (64, 48))
+    exif = image.getexif()
+    exif.get_ifd(0x8769)[0xA405] = 28
+    for i in range(3):
+        image.save(tmp_path / f"{i:06}.jpg", exif=exif)
+    recording = open_recording(tmp_path, focal_px=factor * 28 * 80 / 43.27)
+    assert any("28 mm for 35 mm film means 52 px" in note for note in recording.notes) == is_named
+    recording.close()
+
+
 def test_grey_pairs_use_kittis_grey_cameras(tmp_path):
     lines = [f"P{i}: 300 0 159.5 {-300 * x} 0 300 79.5 0 0 0 1 0" for i, x in enumerate((0.0, 0.4, 0.06, 0.56))]
     (tmp_path / "calib.txt").write_text("\n".join(lines))

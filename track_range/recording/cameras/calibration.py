@@ -316,6 +316,13 @@ def _without_file(
     camera = PinholeCamera.of_focal_length(guess.focal_px, shown_px)
     source = "--focal-px" if focal_px is not None else f"{left}: focal length"
     check_camera(camera, source)
+    stated = focal_guesses(video) if focal_px is not None and isinstance(video, RecordedVideo) else ()
+    contradictions = [
+        f"--focal-px: {guess.focal_px:.0f} px was given, but {other.source} means {other.focal_px:.0f} px within "
+        f"{100 * other.sigma:.0f} %; all distances scale with the focal length, so check which of the two is right."
+        for other in stated
+        if other != default_guess(shown_px[0]) and abs(math.log(guess.focal_px / other.focal_px)) > 3 * other.sigma
+    ]
     if sizes_px[0] != sizes_px[-1]:
         (lw, lh), (rw, rh) = sizes_px
         raise VideoError(
@@ -338,7 +345,7 @@ def _without_file(
         focal=None if is_exact else guess,
         alternatives=others,
         pixel_aspect=aspect,
-        file_notes=(*image_size.field_notes(camera, source), *([doubt] if others else [])),
+        file_notes=(*image_size.field_notes(camera, source), *contradictions, *([doubt] if others else [])),
     )
 
 
