@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from track_range.fleet.inputs.clip import Clip
+from track_range.fleet.inputs.dry_run import check_clips
 from track_range.recording.frame import VideoError
 from track_range.recording.open_video import open_video
 from track_range.recording.recorded_video import RecordedVideo
@@ -175,6 +177,31 @@ def test_repeated_and_backward_times_are_skipped(tmp_path: Path, film: Film, num
     assert note.startswith(f"{retimed}: skipped 2 frames")
 
 
+def test_frames_of_one_time_that_the_file_states_at_its_end(tmp_path: Path, film: Film) -> None:
+    path = retimed_copy(film(tmp_path / "film.avi", EVEN_S[:12], codec="mjpeg"), tmp_path / "film.mkv", [0] * 12)
+    images = iter(open_video(path))
+    next(images)
+    with pytest.raises(VideoError, match="found 1 time for 12 frames"):
+        list(images)
+
+
+def test_frames_of_one_time_that_the_file_states_at_its_start(tmp_path: Path, film: Film) -> None:
+    path = film(tmp_path / "film.mp4", EVEN_S[:12])
+    one_time(path)
+    with pytest.raises(VideoError, match="found 1 time for 12 frames"):
+        open_video(path)
+    (checked,) = check_clips([Clip("a", str(path))])
+    assert "found 1 time for 12 frames" in checked.problems[0]
+
+
+def one_time(path: Path) -> None:
+    """Give all frames of an MP4 file at an even rate the same time."""
+    content = path.read_bytes()
+    durations = content.index(b"stts") + 4
+    shown = content.replace(b"ctts", b"free")
+    path.write_bytes(shown[: durations + 12] + bytes(4) + shown[durations + 12 :][4:])
+
+
 def retimed_copy(path: Path, copy: Path, stamps_ms: list[int]) -> Path:
     """Write a copy with other timestamps."""
     import av
@@ -184,7 +211,7 @@ def retimed_copy(path: Path, copy: Path, stamps_ms: list[int]) -> Path:
         packets = [packet for packet in source.demux(video=0) if packet.size]
         for number, (packet, stamp_ms) in enumerate(zip(packets, stamps_ms, strict=True)):
             packet.stream, packet.time_base = stream, Fraction(1, 1000)
-            packet.pts, packet.dts = stamp_ms, number - 8
+            packet.pts, packet.dts = stamp_ms, number - len(stamps_ms)
             target.mux_one(packet)
     return copy
 

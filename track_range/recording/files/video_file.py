@@ -53,6 +53,7 @@ _STILL = Disposition.attached_pic | Disposition.timed_thumbnails  # streams that
 
 _RAW = frozenset(("h264", "hevc", "vvc", "m4v", "mpegvideo", "obu"))  # FFmpeg's names of streams without a container
 _MIN_STATED_HZ, _MAX_STATED_HZ = 1.0, 1000.0  # range of their frame rates; other rates belong to a clock
+_MIN_SHARED = 10  # number of frames per time from which the times of a file are useless
 _RESET_S = 1.0  # step back in time from which the clock was set back; frames are stored in another order within less
 _MILLISECOND, _ROUNDING_S = Fraction(1, 1000), 0.0006  # time base of Matroska, and largest error of its rounding, s
 
@@ -162,6 +163,7 @@ class VideoFile(RecordedVideo):
                     image = decoded.to_bgr()
                     self._log.image(image)
                     yield VideoFrame(index, time_s, image, decoded)
+        _check_times(self.path, self._log.n_used + self._log.n_backward, self._log.n_used)
         self._log.note_shortfall(self._declared_end_s, tolerance_s=_SHORTFALL_FRAMES / self.fps)
 
     def check_unchanged(self) -> None:
@@ -258,6 +260,12 @@ class _Reading:
                     f"video track {other} ({size_px[0]}x{size_px[1]} px) is left out, track {number} is used; --track "
                     f"chooses another track{', and --stereo FILE uses two of equal size as left and right' * is_equal}."
                 )
+        stamps = [entry.timestamp for entry in getattr(self.stream, "index_entries", ())]  # since PyAV 17
+        try:
+            _check_times(path, len(stamps), len(set(stamps)))
+        except VideoError:
+            self.container.close()
+            raise
         rates_hz = [float(rate) for rate in (self.stream.average_rate, self.stream.guessed_rate) if rate]
         plausible_hz = [rate_hz for rate_hz in rates_hz if _MIN_RATE_HZ <= rate_hz <= _MAX_RATE_HZ]
         self.fps = plausible_hz[0] if plausible_hz else _FALLBACK_RATE_HZ
@@ -295,10 +303,11 @@ class _Reading:
         if not self._is_stamped:
             return
         stamp = (from_s + TIME_EPSILON_S) / float(self.time_base)
+        first = -math.inf if self.log.last_s is None else (self.log.last_s + TIME_EPSILON_S) / float(self.time_base)
         waiting: list[Packet[VideoStream] | None] = []
         for packet in self.packets:
             is_before = packet is not None and packet.pts is not None and packet.pts <= stamp
-            if is_before and packet is not None and packet.is_keyframe:
+            if is_before and packet is not None and packet.is_keyframe and first < (packet.pts or 0):
                 waiting.clear()
                 self._decoded.clear()
                 self.stream.codec_context.flush_buffers()
@@ -380,6 +389,15 @@ class _Reading:
             packet.dts = None if packet.dts is None else packet.dts + self._shift
             packet.pts = None if packet.pts is None else packet.pts + self._shift
         self._last_stamp = stamp + self._shift
+
+
+def _check_times(path: Path, n_frames: int, n_times: int) -> None:
+    """Raise a VideoError if nearly all of `n_frames` frames have a time that another frame has already."""
+    if n_frames >= _MIN_SHARED * n_times > 0:
+        raise VideoError(
+            f"{path}: expected a time for each frame, found {counted(n_times, 'time')} for {n_frames} frames; "
+            "copy the video again, or store it with its frame rate (ffmpeg -r RATE -i IN OUT.mp4)."
+        )
 
 
 def _display_axes(frame: av.VideoFrame) -> tuple[int, int, int, int]:
