@@ -201,11 +201,6 @@ def rounded(columns: Columns) -> dict[str, npt.NDArray[Any]]:
     return {name: declared[name].rounded(values) if name in declared else values for name, values in columns.items()}
 
 
-def no_rows() -> dict[str, npt.NDArray[Any]]:
-    """Columns of a run without tracks."""
-    return {name: np.zeros(0, np.str_ if name in TEXT_COLUMNS else np.float64) for name in column_names()}
-
-
 def boxes_px(columns: Columns) -> FloatArray:
     """(N, 4) boxes x1, y1, x2, y2 in pixels."""
     return np.stack([columns[name] for name in ("x1_px", "y1_px", "x2_px", "y2_px")], axis=1)

@@ -19,6 +19,7 @@ from pydantic import BaseModel
 
 from track_range.detection.formats.errors import LabelFileError
 from track_range.foundation.arrays import BoolArray
+from track_range.foundation.files.input_files import real_path
 from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.files.structured_text import read_json, read_yaml
 from track_range.foundation.validation import Number, PositiveNumber, validated
@@ -30,7 +31,6 @@ from track_range.results.columns import (
     boxes_px,
     column_names,
     methods_measured,
-    no_rows,
     rounded,
 )
 from track_range.results.events.event import Event
@@ -135,8 +135,9 @@ class _Reader:
     def _read_summary(self) -> dict[str, Any] | None:
         file = self.folder / "summary.json"
         if not file.exists():
+            killed = "the run was killed" if clip_rows(self.folder) is None else "the fleet was run without --reports"
             self.missing.append(
-                f"summary.json is missing: {describe_progress(self.folder) or 'the run was killed'}. Stage times, "
+                f"summary.json is missing: {describe_progress(self.folder) or killed}. Stage times, "
                 "alignment and notes are unknown; the other results are computed from the rows."
             )
             return None
@@ -157,7 +158,16 @@ class _Reader:
                 else f"{self.folder}: expected the result folder of a run, found neither rows (tracks.csv, "
                 "tracks.parquet) nor summary.json in it."
             )
-        rows = no_rows() if columns is None else columns
+        if columns is None:
+            path = clip_rows(self.folder)
+            raise OutputError(
+                f"{self.folder}: expected the rows of the run in {TABLE_FILE} or {PARQUET_FILE}, found neither; "
+                "restore one of the files, or repeat the run with --write csv."
+                if path is None
+                else f"{self.folder}: expected the rows of this clip in {path}, found no such file; restore the file, "
+                "or repeat the clip with fleet run."
+            )
+        rows = columns
         truth = self._truth()
         matched = None if truth is None else matched_truth(rows, truth)
         if matched is not None:
@@ -187,13 +197,11 @@ class _Reader:
         )
 
     def _columns(self, *, is_rounded: bool) -> dict[str, Any] | None:
-        in_full = (PARQUET_FILE, STREAM_FILE)  # the stream of a run in progress, or of one that was killed
-        for name in (TABLE_FILE, *in_full) if is_rounded else (*in_full, TABLE_FILE):
-            if (self.folder / name).is_file():
-                columns = read_run_rows(self.folder / name, self.missing)
-                return rounded(columns) if is_rounded and name in in_full else columns
-        self.missing.append(f"{TABLE_FILE} is missing, and so is {PARQUET_FILE}: there are no charts of tracks.")
-        return None
+        path = rows_file(self.folder, is_rounded=is_rounded)
+        if path is None:
+            return None
+        columns = read_run_rows(path, self.missing)
+        return rounded(columns) if is_rounded and path.name != TABLE_FILE else columns
 
     def _truth(self) -> Truth | None:
         """Ground truth of the run; None if there was none or it can no longer be read."""
@@ -236,8 +244,8 @@ class _Reader:
 
     def _replayed_events(self, rows: Columns, fps: float) -> tuple[Event, ...]:
         """Events found again from the rows, in full precision if the folder contains a file with them."""
-        path = next((path for name in (PARQUET_FILE, STREAM_FILE) if (path := self.folder / name).is_file()), None)
-        if path is not None:
+        path = rows_file(self.folder)
+        if path is not None and path.name != TABLE_FILE:
             with suppress(OutputError):  # the rounded rows are used
                 rows = read_run_rows(path, [])
         order = np.argsort(rows["frame"], kind="stable")
@@ -302,6 +310,20 @@ def every_of(settings: Sections) -> int:
 def _section(document: Sections, name: str) -> dict[str, Any]:
     section = document.get(name)
     return dict(section) if isinstance(section, dict) else {}
+
+
+def rows_file(folder: Path, *, is_rounded: bool = False) -> Path | None:
+    """The file with the rows of a run or of a fleet's clip, in full precision or rounded if both exist; None = none."""
+    in_full = (PARQUET_FILE, STREAM_FILE)  # the stream of a run in progress, or of one that was killed
+    paths = [folder / name for name in ((TABLE_FILE, *in_full) if is_rounded else (*in_full, TABLE_FILE))]
+    return next((path for path in (*paths, clip_rows(folder)) if path is not None and path.is_file()), None)
+
+
+def clip_rows(folder: Path) -> Path | None:
+    """File of the rows of a fleet's clip, whose folder is runs/clip=NAME or tracks/clip=NAME; None = another folder."""
+    path = real_path(folder)
+    is_clip = path.name.startswith("clip=") and path.parent.name in ("runs", "tracks")
+    return path.parent.parent / "tracks" / path.name / PARQUET_FILE if is_clip else None
 
 
 def read_run_rows(path: Path, missing: list[str]) -> dict[str, Any]:

@@ -5,21 +5,28 @@ from __future__ import annotations
 import csv
 import json
 import math
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pytest
 import yaml
 
+from track_range.detection.formats.errors import LabelFileError
+from track_range.evaluation.sequences.find import find_sequences
 from track_range.foundation.files.output_files import OutputError
 from track_range.ranging.evaluation.truth import Truth
 from track_range.results.columns import column_names
-from track_range.results.folder import read_run_folder
+from track_range.results.folder import read_run_folder, read_run_rows
+from track_range.results.formats.parquet_file import write_table
 from track_range.results.summary import matched_truth, with_truth
 from track_range.views.report.run_folders import report, short_names
 
 N_FRAMES = 6
+Cli = Callable[..., tuple[int, str, str]]
 
 
 def write_run(folder: Path, **run: Any) -> Path:
@@ -154,7 +161,6 @@ def test_killed_run_of_a_pair(tmp_path: Path) -> None:
     ("gone", "words"),
     [
         ("settings.yaml", "settings.yaml is missing"),
-        ("tracks.csv", "tracks.csv is missing"),
         ("truth.txt", "The ground truth cannot be read"),
         ("overlay.mp4", "overlay.mp4 is missing"),
     ],
@@ -167,6 +173,40 @@ def test_missing_files(run: Path, gone: str, words: str) -> None:
     assert words in page
     assert "a note" in page
     assert ("<video" in page) == (gone != "overlay.mp4")
+
+
+def test_run_without_rows_is_refused(run: Path, tmp_path: Path, cli: Cli) -> None:
+    page = report([run]).page
+    before = page.read_bytes()
+    (run / "tracks.csv").unlink()
+    for arguments in (("report", run), ("export", run, "--to", "coco", "--out", tmp_path / "boxes.json")):
+        status, _, stderr = cli(*arguments)
+        assert status == 1
+        assert "found neither; restore" in stderr
+    assert page.read_bytes() == before
+    assert not (tmp_path / "boxes.json").exists()
+
+
+def test_clip_of_a_fleet(run: Path, tmp_path: Path, cli: Cli) -> None:
+    """The rows of a clip are in tracks/clip=NAME; the files of the clip, in runs/clip=NAME, have no settings.yaml."""
+    tracks, runs = tmp_path / "fleet" / "tracks" / "clip=a", tmp_path / "fleet" / "runs" / "clip=a"
+    tracks.mkdir(parents=True)
+    runs.parent.mkdir()
+    rows = read_run_rows(run / "tracks.csv", [])
+    write_table(tracks / "tracks.parquet", pa.table(rows))
+    shutil.copytree(run, runs, ignore=shutil.ignore_patterns("tracks.csv", "settings.yaml"))
+    boxes = tmp_path / "boxes.json"
+    report([runs])
+    assert len(read_run_folder(runs).columns["frame"]) == N_FRAMES
+    assert cli("export", runs, "--to", "coco", "--out", boxes)[1].rstrip().endswith(f"{N_FRAMES} boxes")
+    assert [sequence.path for sequence in find_sequences(runs, "det")] == [tracks / "tracks.parquet"]
+    before = (runs / "report.html").read_bytes()
+    (tracks / "tracks.parquet").unlink()
+    with pytest.raises(OutputError, match=r"clip=a/tracks\.parquet, found no such file"):
+        report([runs])
+    with pytest.raises(LabelFileError, match=r"clip=a/tracks\.parquet, found no such file"):
+        find_sequences(runs, "det")
+    assert (runs / "report.html").read_bytes() == before
 
 
 @pytest.mark.parametrize("text", ["{", "[]", "\x00"])

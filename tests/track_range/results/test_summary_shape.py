@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
-from track_range.results.columns import no_rows
+from track_range.results.columns import TEXT_COLUMNS, column_names
 from track_range.results.summary_shape import valid_summary
 from track_range.views.report.page import report_page
 
+NO_ROWS = {name: np.zeros(0, np.str_ if name in TEXT_COLUMNS else np.float64) for name in column_names()}
 WHOLE: dict[str, Any] = {
     "frames": 3,
     "wall_s": 1.5,
@@ -63,7 +65,7 @@ def test_valid_summary_is_unchanged() -> None:
 def test_invalid_values_are_omitted(part: dict[str, Any], name: str) -> None:
     summary, invalid = valid_summary(WHOLE | part)
     assert invalid == [name]
-    assert "<h2>Settings</h2>" in report_page(summary, no_rows())
+    assert "<h2>Settings</h2>" in report_page(summary, NO_ROWS)
 
 
 def test_other_values_of_a_section_are_used() -> None:
@@ -84,10 +86,10 @@ def test_other_values_of_a_section_are_used() -> None:
 def test_huge_figures_are_omitted(part: dict[str, Any], name: str) -> None:
     summary, invalid = valid_summary(WHOLE | part)
     assert invalid == [name]
-    assert "<html" in report_page(summary, no_rows())
+    assert "<html" in report_page(summary, NO_ROWS)
 
 
 @pytest.mark.parametrize("part", [{"methods": {"fused": {"n": -4, "within_1_sigma": 0.5}}}, {"wall_s": 1e-300}])
 def test_page_of_impossible_figures(part: dict[str, Any]) -> None:
     summary, _ = valid_summary(WHOLE | part)
-    assert "<html" in report_page(summary, no_rows())
+    assert "<html" in report_page(summary, NO_ROWS)

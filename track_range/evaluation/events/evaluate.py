@@ -36,9 +36,8 @@ from track_range.ranging.evaluation.truth import Truth
 from track_range.results.columns import Columns, boxes_px
 from track_range.results.events.event import Event
 from track_range.results.events.files import EVENTS_FILE, NEEDED_COLUMNS, EventFileError, read_events
-from track_range.results.folder import read_run_rows
+from track_range.results.folder import read_run_rows, rows_file
 
-TRACK_FILES = ("tracks.parquet", "tracks.csv", "tracks.arrows")  # files with the rows of a run, the first that exists
 BOX_FILES = ("truth.csv", "truth.txt")  # labels of a simulated drive beside its contacts, the first that exists
 
 _MAX_SUMMARY_BYTES = 50_000_000
@@ -125,7 +124,7 @@ class _Inputs:
         """Rows of the run; None without a file, or if the file beside the events cannot be read."""
         if path is not None:
             return read_run_rows(path, self.notes)
-        beside = next((self.folder / name for name in TRACK_FILES if (self.folder / name).is_file()), None)
+        beside = rows_file(self.folder)
         if beside is None:
             return None
         try:

@@ -5,6 +5,7 @@ DIR/NAME.txt                layout of KITTI and RRC
 DIR/NAME/det/det.txt        layout of MOTChallenge (gt/gt.txt for ground truth), with seqinfo.ini
 DIR/labels/NAME_000000.txt  one sequence of YOLO labels
 DIR/settings.yaml           one sequence: the tracks.csv or tracks.parquet of a run
+runs/clip=NAME              one sequence: the tracks.parquet of a fleet's clip
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from track_range.detection.formats.label_formats import is_label_folder
 from track_range.detection.formats.limits import MAX_FRAME
 from track_range.foundation.files.input_files import quoted, read_text, readable, real_path
 from track_range.foundation.files.numeric_text import number
+from track_range.results.folder import clip_rows, rows_file
 
 _SUFFIXES = (".json", ".xml", ".csv")  # of files of sequences in a folder without text files
 Kind = Literal["det", "gt"]  # detections or ground truth, as in MOTChallenge's file names
@@ -112,9 +114,11 @@ def listed(names: Sequence[str]) -> str:
 
 def _rows_of_run(folder: Path) -> Path | None:
     """The file with the rows of a run, which has the classes that mot.txt lacks; None if this is not a run's folder."""
-    files = [folder / name for name in ("tracks.csv", "tracks.parquet")]
-    is_run = os.path.isfile(folder / "settings.yaml")
-    return next((file for file in files if os.path.isfile(file)), None) if is_run else None
+    path = clip_rows(folder)
+    rows = rows_file(folder, is_rounded=True) if path or os.path.isfile(folder / "settings.yaml") else None
+    if path is not None and rows is None:
+        raise LabelFileError(f"{folder}: expected the rows of this clip in {path}, found no such file.")
+    return None if rows is None or rows.suffix == ".arrows" else rows
 
 
 def _text_files(folder: Path, suffixes: Sequence[str] = (".txt",)) -> list[Path]:

@@ -20,7 +20,7 @@ from track_range.foundation.files.structured_text import read_yaml
 from track_range.foundation.validation import validated
 from track_range.recording.live.address import live_address
 from track_range.recording.open_video import open_video
-from track_range.results.folder import DetectedCamera, RunFolder, every_of, read_run_folder
+from track_range.results.folder import DetectedCamera, RunFolder, every_of, read_run_folder, rows_file
 from track_range.results.formats.box_files import table_of_rows
 from track_range.run.build import open_input
 from track_range.run.settings_files import settings_from
@@ -31,12 +31,12 @@ _RUN_FILES = ("settings.yaml", "tracks.csv", "tracks.parquet", "tracks.arrows", 
 
 def is_run(path: Path) -> bool:
     """Whether a path is the result folder of a run."""
-    return any(os.path.isfile(path / name) for name in _RUN_FILES)
+    return any(os.path.isfile(path / name) for name in _RUN_FILES) or rows_file(path) is not None
 
 
 def run_files(folder: Path) -> list[Path]:
     """The files of a run that an export reads."""
-    return [folder / name for name in _RUN_FILES]
+    return [*(folder / name for name in _RUN_FILES), *filter(None, [rows_file(folder)])]
 
 
 def open_run(folder: Path) -> tuple[RunFolder, PinholeCamera | None]:

@@ -12,7 +12,7 @@ from track_range.foundation.files.input_files import counted, real_path
 from track_range.foundation.files.output_files import OutputError, check_outputs
 from track_range.results.events.event import CLIPS_FOLDER, Event
 from track_range.results.events.files import EVENTS_FILE, EVENTS_PARQUET, write_event_files
-from track_range.results.folder import RunFolder, read_run_folder
+from track_range.results.folder import RunFolder, clip_rows, read_run_folder
 from track_range.results.formats.poses_file import read_poses
 from track_range.results.writers import result_names
 from track_range.views.event_clips import write_clips
@@ -88,10 +88,10 @@ def report(folders: Sequence[Path], out: Path | None = None, *, has_clips: bool 
 def restore_events(run: RunFolder) -> Iterator[str]:
     """Write events.csv and events.parquet of a run that was killed or lacks them; yields a sentence about it.
 
-    A run in progress is left alone. OutputError if a file cannot be written, or the events.csv of a finished run is
-    damaged.
+    A run in progress and the folders of a fleet are left alone. OutputError if a file cannot be written, or the
+    events.csv of a finished run is damaged.
     """
-    if not run.are_events_replayed or is_locked(run.folder):
+    if not run.are_events_replayed or is_locked(run.folder) or clip_rows(run.folder) is not None:
         return
     path = run.folder / EVENTS_FILE
     if path.exists() and (run.folder / "summary.json").exists():
