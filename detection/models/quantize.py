@@ -81,7 +81,7 @@ def quantize_int8(
     stream = iter(blobs)
     first = list(itertools.islice(stream, _N_NOISE_BLOBS))
     if not first:
-        raise ModelError(f"{path}: no calibration images; specify images that are typical of the network's use.")
+        raise ModelError(f"{path}: there are no calibration images; specify images typical of the network's use.")
     for blob in first:  # raises a ModelError for a wrong shape
         session.run(blob)
     with atomic_output(out) as folder:

@@ -190,7 +190,7 @@ def _cost(event: Event, label: Event) -> float:
 
 
 def are_same_class(one: str, other: str) -> bool:
-    """Whether two objects may be the same: vehicles are confused, and riders with two-wheelers; "" = unknown class."""
+    """Whether two objects may be one: detectors confuse vehicles, and riders with two-wheelers; "" = unknown class."""
     groups = {_GROUPS.get(road_class_of(name) or name.lower(), name.lower()) for name in (one, other) if name}
     return len(groups) < 2
 

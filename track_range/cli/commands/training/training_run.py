@@ -153,7 +153,7 @@ def _finish(training: Training, options: TrainOptions, data: TrainingData) -> No
     print_grid(console, class_grid({"n_images": len(data.val), "models": {options.model: training.scores().as_dict()}}))
     names = [name for name in (CURVES, RESULTS, BEST, LAST) if (options.out / name).exists()]
     written = f"Written: {model}, and in the same folder {', '.join(names)}."
-    print_line(console, written, f"To use it: track-range --mono VIDEO --focal-px PX --detector {model}")
+    print_line(console, written, f"To use the model: track-range --mono VIDEO --focal-px PX --detector {model}")
 
 
 def _duration(minutes: float) -> str:
