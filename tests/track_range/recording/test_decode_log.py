@@ -46,7 +46,7 @@ def test_notes() -> None:
     assert "3.9 s" in stop
     assert "2 gaps" in gaps
     assert "0.50 s" in gaps
-    assert "1 damaged frame " in damaged
+    assert "1 damaged frame." in damaged
     assert "2 frames" in backward
 
 
