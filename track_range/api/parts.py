@@ -157,8 +157,7 @@ class Tracker:
             ModelError: the re-identification network cannot be used.
         """
         runtime = Runtime(device=device, n_threads=threads)
-        options = open_tracker_options(None if reid is None else Path(reid), runtime)
-        self._tracker = create_tracker(name, options)
+        self._tracker = create_tracker(name, open_tracker_options(None if reid is None else Path(reid), runtime))
 
     def update(self, detections: Detections, time_s: float, image: Image | None = None) -> Tracks:
         """Confirmed tracks after an update with the detections of one frame.

@@ -189,8 +189,7 @@ class Renderer:
             camera, turn = _finer(view.camera), view_from_camera(view.yaw_deg)
         canvas = Canvas(camera, self._store, has_labels=has_labels)
         shift_m, rotation = turn @ self._shift_m(side), turn @ pose.camera_from_world
-        street = self._street.faces(ego_z_m)
-        canvas.draw(street.rotated(rotation).moved(shift_m - rotation @ pose.position_m))
+        canvas.draw(self._street.faces(ego_z_m).rotated(rotation).moved(shift_m - rotation @ pose.position_m))
         self._draw_bodies(canvas, time_s, shift_m, solids or self._solids, turn)
         if n_rows := canvas.n_sky_rows():
             canvas.fill_sky(self._background(pose, canvas.camera, n_rows))

@@ -135,8 +135,7 @@ class Scene:
 
     def location_m(self, time_s: float) -> FloatArray:
         """(N, 3) bottom centres of the 3-D boxes in the left camera's frame at a time."""
-        raised_m = np.array([user.raised_m for user in self.road_users])
-        return self._location_m(time_s, self._on_road_m(time_s), raised_m)
+        return self._location_m(time_s, self._on_road_m(time_s), np.array([user.raised_m for user in self.road_users]))
 
     def size_hwl_m(self) -> FloatArray:
         """(N, 3) height, width, length."""

@@ -69,8 +69,7 @@ class _Car:
 
     def panel(self, corner: Vector, along: Vector, down: Vector, light: float) -> Face:
         """A face in the car's colour, multiplied by `light`."""
-        place = (corner, along, down)
-        return coloured_face(self.rng, place, shaded(self.paint, light), contrast=PAINT_CONTRAST)
+        return coloured_face(self.rng, (corner, along, down), shaded(self.paint, light), contrast=PAINT_CONTRAST)
 
     def x_m(self, fraction: float) -> float:
         """Position of a fraction of the car's length from the back."""
