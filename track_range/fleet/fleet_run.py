@@ -12,7 +12,7 @@ from rich.console import Console
 from track_range.fleet.engine.cluster import connected
 from track_range.fleet.engine.plan import FleetPlan, Process, fleet_plan
 from track_range.fleet.engine.progress import shown_progress, worker_state
-from track_range.fleet.engine.remaining import remaining
+from track_range.fleet.engine.remaining import remaining, work_text
 from track_range.fleet.errors import FleetError
 from track_range.fleet.inputs.clip import Clip
 from track_range.fleet.output.data_set import ClipTable, remove_unfinished
@@ -114,8 +114,8 @@ class _FleetRun:
 
             n_workers = min(n_available, len(todo))
             if not self._console.quiet:
-                text = f"{counted(len(todo), 'clip')} to process, {state.skipped} complete; "
-                self._console.print(text + counted(n_workers, "worker"), highlight=False)
+                text = f"{work_text(todo, state.skipped)}; {counted(n_workers, 'worker')}"
+                self._console.print(text, highlight=False)
             with shown_progress(self._console, state) as progress:
 
                 def report(slots: Sequence[Any]) -> None:

@@ -88,6 +88,8 @@ def done_record(name: str, **more: Any) -> ClipRecord:
         "frames": 12000,
         "rows": 40,
         "tracks": 2,
+        "focal_px": 1000.0,
+        "focal_sigma": 0.0,
         "seconds": 1200.0,
         "wall_s": 600.0,
         "overhead_s": 0.5,

@@ -54,6 +54,7 @@ def test_corrupt_clip_is_one_row(finished):
     assert rows["one"]["frames"] == 12
     assert rows["one"]["calibration"] == "rig"
     assert rows["one"]["read_ms"] > 0
+    assert (rows["one"]["focal_px"] > 0, rows["one"]["focal_sigma"]) == (True, 0.0)
     assert 0 < rows["one"]["fused_coverage"] <= 1
 
 

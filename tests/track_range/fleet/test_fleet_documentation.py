@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -76,11 +77,20 @@ def test_queries_of_events(results, tmp_path):
 
 def test_page_of_queries(results, capsys):
     pytest.importorskip("duckdb")
+    shutil.copytree("results", "results-before")
+    before = ClipTable(Location.of("results-before"))
+    row = done_record("0001").row()
+    before.add({**row, "tracks": row["tracks"] + 3, "focal_px": 500.0}, is_in_journal=False)
+    before.compile()
     names = {}
     for code in python_blocks(PAGES["docs/how-to/duckdb.md"]):
         exec(compile(code, "duckdb.md", "exec"), names)  # noqa: S102 - our own text
     closest = {row[0]: row[1:3] for row in names["closest"].fetchall()}
     assert closest["car"] == (min(row["distance_m"] for row in results["closest"]), results["closest"][0]["clip"])
+    first, *others = names["compared"].fetchall()
+    assert (first[0], first[2] - first[1], first[6]) == ("0001", 3, 2.0)
+    assert others
+    assert all(row[1] == row[2] for row in others)
     printed = capsys.readouterr().out
     assert all(word in printed for word in ("hours", "error_kind", "reason"))
 

@@ -58,7 +58,9 @@ def _surrogate(options: SurrogateOptions) -> None:
     print_line(
         console,
         "All distances are from the front of the ego vehicle. The gap covers all road users, all other measures only "
-        "road users on the path.",
+        "road users on the path. TTC: time to collision. TET: time with a TTC below 3 s. TIT: integral of 3 s - TTC "
+        "over that time. DRAC: smallest deceleration that avoids a collision; MDRAC: the same after 1 s of reaction. "
+        "PET: time between the passages of the place where two paths cross. lead: time as the next vehicle ahead.",
     )
     for path, is_parquet in ((options.csv, False), (options.parquet, True)):
         if path is not None:

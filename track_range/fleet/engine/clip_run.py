@@ -184,6 +184,8 @@ class _ClipRun:
             events=len(run.events),
             seconds=round(run.session.rows.seconds, 6),
             calibration=str(summary["calibration"]),
+            focal_px=summary["focal_px"],
+            focal_sigma=summary["focal_sigma"],
             start_utc=str((summary["utc"] or {}).get("start") or ""),
             warnings=[self._with_names(note) for note in summary["notes"]],
             stages_ms=summary["stages_ms"],

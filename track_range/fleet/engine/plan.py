@@ -72,6 +72,7 @@ class ClipTask:
     clip: Clip
     attempt: int = 1  # counted from 1
     known_hash: str = ""  # content hash of the complete result, if the files have only been touched since; "" = none
+    has_other_options: bool = False  # the complete result is of other options of the runs
 
 
 @dataclass(frozen=True, slots=True)

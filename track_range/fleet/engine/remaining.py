@@ -16,6 +16,7 @@ from track_range.fleet.inputs.clip import Clip, is_file_setting
 from track_range.fleet.output.data_set import ClipTable
 from track_range.fleet.storage.errors import StorageError
 from track_range.fleet.storage.location import FolderListings, Location
+from track_range.foundation.files.input_files import counted
 
 _N_CONNECTIONS = 32  # requests for sizes and times of change at a time
 _N_BATCH = 2000  # clips whose files are looked up together; a request that waits takes about 1.5 kB
@@ -43,7 +44,7 @@ def remaining(
         result = known.get(clip.name)
         is_repeated = result is not None and result.status == "failed" and is_failed_repeated
         if result is None or is_repeated or result.settings_hash != settings_hash:
-            todo.append(ClipTask(clip))
+            todo.append(ClipTask(clip, has_other_options=result is not None and result.status == "done"))
         else:
             compared.append((clip, result))
     n_equal: Counter[str] = Counter()
@@ -58,6 +59,15 @@ def remaining(
                 else:
                     todo.append(ClipTask(clip, known_hash=result.content_hash if result.status == "done" else ""))
     return todo, n_equal["done"], n_equal["failed"]
+
+
+def work_text(todo: Sequence[ClipTask], n_complete: int) -> str:
+    """Clause with the numbers of clips to process and of complete clips, and why earlier results do not count."""
+    n_other, n_touched = sum(task.has_other_options for task in todo), sum(bool(task.known_hash) for task in todo)
+    reasons = [f"{n_other} with a result of other options"] if n_other else []
+    reasons += [f"{n_touched} complete if the content of the changed files is the same"] if n_touched else []
+    named = f" ({', '.join(reasons)})" if reasons else ""
+    return f"{counted(len(todo), 'clip')} to process{named}, {n_complete} complete"
 
 
 def _known(table: ClipTable) -> Iterator[tuple[str, _Known]]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import difflib
 import itertools
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from urllib.parse import quote
 
-from track_range.fleet.inputs.clip import Clip, FleetInputError
+from track_range.fleet.inputs.clip import CLIP_SETTINGS, Clip, FleetInputError
 from track_range.fleet.inputs.manifest import manifest_clips
 from track_range.fleet.inputs.pattern import CLIP, FilePattern, Template
 from track_range.fleet.inputs.tree import FileTree, is_image_name, wildcard_tree, without_suffix
@@ -43,6 +44,16 @@ def clips_of(recordings: Sequence[str], pattern: str | None, rig: str | None) ->
     if not clips:
         raise FleetInputError("expected at least one folder, pattern or manifest, found none.")
     return _checked(clips if rig_template is None else _with_rigs(clips, rig_template))
+
+
+def label_note(clips: Sequence[Clip]) -> str:
+    """Sentence with the labels of the clips, and the settings whose names are similar; "" without labels."""
+    labels = dict.fromkeys(name for clip in clips for name in clip.labels)
+    near = {name: difflib.get_close_matches(name, CLIP_SETTINGS, n=1, cutoff=0.7) for name in labels}
+    named = ", ".join(
+        f"{shown(name)} (did you mean {near[name][0]}?)" if near[name] else shown(name) for name in labels
+    )
+    return f"Columns and placeholders that are labels, not settings: {named}." if labels else ""
 
 
 def _clips_in(location: Location, pattern: FilePattern | None) -> list[Clip]:

@@ -40,6 +40,8 @@ class ClipRecord:
     wall_s: float | None = None  # time for the clip in the worker
     overhead_s: float | None = None  # part of `wall_s` that is not the run: fetching, hashing, publishing
     calibration: str = ""
+    focal_px: float | None = None  # of the rectified left images
+    focal_sigma: float | None = None  # relative standard deviation of `focal_px`; 0 = calibrated
     start_utc: str = ""  # UTC of the first frame, ISO 8601; "" = unknown
     warnings: Sequence[str] = ()
     node: str = ""

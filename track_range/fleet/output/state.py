@@ -169,8 +169,8 @@ def state_text(state: FleetState | None) -> str:
 
 
 def duration_text(seconds: float) -> str:
-    """A duration as "45 s", "12 min" or "3 h 20 min"."""
-    if seconds < 90:
+    """A duration as "45 s", "94 s", "12 min" or "3 h 20 min"."""
+    if seconds < 180:
         return f"{max(seconds, 0):.0f} s"
     minutes = round(seconds / 60)
     return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60} min"

@@ -94,7 +94,7 @@ def fleet_sections(figures: Figures, links: Links | None = None) -> list[Section
         "road-users": (
             "Road users",
             "Tracks by their most frequent class. The hour of the day is the hour (UTC) of the first frame of a "
-            "track. Rates per hour need at least 6 minutes of video.",
+            "track. Rates per hour are shown from 6 minutes of video on.",
             [_grid("Tracks by class", "class", figures["classes"], _CLASS_COLUMNS), _hour_grid(figures["hours"])],
             "No clip has tracks.",
         ),

@@ -2,6 +2,7 @@
 
 import csv
 import io
+from dataclasses import replace
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -9,7 +10,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from track_range.fleet.inputs.clip import Clip, FleetInputError
-from track_range.fleet.inputs.listing import clips_of
+from track_range.fleet.inputs.listing import clips_of, label_note
 
 FULL = {
     "clip": ["a", "b"],
@@ -79,6 +80,12 @@ def test_numbers_and_dates_in_parquet(tmp_path):
     assert clip.name == "a"
     assert clip.settings == {"ego_speed": "50.5", "start_utc": "2026-01-31T14:25:00+00:00"}
     assert clip.labels == {"trip": "7", "night": "True", "driver": "x"}
+
+
+def test_labels_with_the_name_of_nearly_a_setting(tmp_path):
+    clips = clips_of([write_manifest(tmp_path, "left,focal,vehicle\na.mp4,800,van\n")], None, None)
+    assert label_note(clips).endswith("settings: focal (did you mean focal_px?), vehicle.")
+    assert label_note([replace(clips[0], labels={})]) == ""
 
 
 def test_names_without_the_column_clip(tmp_path):

@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from track_range.fleet.output.state import FleetState
+from track_range.fleet.output.state import FleetState, duration_text
 
 THIS_PROCESS = -1
 
@@ -41,6 +41,11 @@ def test_sentence_of_a_run(counts, sentence):
     state = FleetState(state="finished", total=8, started_s=0.0, heartbeat_s=300.0, **counts)
     assert state.sentence() == sentence
     assert ("left" in state.text()) is (counts == {"done": 6})
+
+
+@pytest.mark.parametrize(("seconds", "text"), [(94, "94 s"), (180, "3 min"), (12_000, "3 h 20 min")])
+def test_durations(seconds, text):
+    assert duration_text(seconds) == text
 
 
 def test_finished_driver():

@@ -23,11 +23,11 @@ _MAX_NAME, _MAX_NAMED = 20, 10  # characters of the name of a failed clip, and n
 
 
 def _fleet_run(**values: Any) -> None:
-    from track_range.cli.console import console, print_line
+    from track_range.cli.console import console, print_line, print_notes
     from track_range.fleet.engine.plan import common_options
     from track_range.fleet.errors import ClipsFailedError
     from track_range.fleet.fleet_run import run_fleet
-    from track_range.fleet.inputs.listing import clips_of
+    from track_range.fleet.inputs.listing import clips_of, label_note
     from track_range.foundation.files.input_files import printable, shortened
 
     settings = FleetSettings.of(given_values(FleetSettings, values))
@@ -39,6 +39,7 @@ def _fleet_run(**values: Any) -> None:
     if settings.settings is not None:
         options = {**common_options(settings.settings), **options}
     clips = clips_of(settings.recordings, settings.pattern, settings.rig)
+    print_notes(console, filter(None, [label_note(clips)]))
     if settings.dry_run:
         _print_plan(settings, options, clips)
         return
@@ -59,13 +60,13 @@ def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Sequenc
     """Print what would be processed, with the problems in the headers; ClipsFailedError if there are some."""
     from track_range.cli.console import console, print_line
     from track_range.fleet.engine.plan import fleet_plan
-    from track_range.fleet.engine.remaining import remaining
+    from track_range.fleet.engine.remaining import remaining, work_text
     from track_range.fleet.errors import ClipsFailedError
     from track_range.fleet.inputs.dry_run import check_clips
     from track_range.fleet.output.data_set import ClipTable
     from track_range.fleet.output.state import duration_text
     from track_range.fleet.storage.location import Location
-    from track_range.foundation.files.input_files import counted, printable
+    from track_range.foundation.files.input_files import printable
 
     plan = fleet_plan(settings, options)
     table = ClipTable(Location.of(settings.out))
@@ -85,8 +86,7 @@ def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Sequenc
         problems += [(checked.clip.name, problem) for problem in checked.problems[:1]]
     print_line(
         console,
-        f"{counted(len(todo), 'clip')} to process, {duration_text(seconds)} of video; {n_complete} complete, "
-        f"{n_failed} failed before",
+        f"{work_text(todo, n_complete)}, {n_failed} failed before; {duration_text(seconds)} of video to process",
     )
     if problems:
         raise ClipsFailedError(f"{len(problems)} of {len(clips)} clips cannot be processed; see the list above.")
