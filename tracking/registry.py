@@ -10,6 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
+import numpy as np
+
+from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.classes import ROAD_CLASS_TABLE, ROAD_CLASSES
 from track_range.detection.detections import Descriptors, Detections
 from track_range.foundation.arrays import FloatArray, Image, IntArray
@@ -146,13 +149,19 @@ def create_tracker(name: str, options: TrackerOptions | None = None) -> ObjectTr
 
 
 def checked_tracks(tracker: ObjectTracker, result: Any) -> Tracks:
-    """The result of a tracker's `update`; TrackerError: it is not `Tracks`, or has class ids that do not exist."""
+    """The result of a tracker's `update`; TrackerError: it is not `Tracks`, or has invalid classes, ids or boxes."""
     name = f"{type(tracker).__module__}:{type(tracker).__qualname__}"
     if not isinstance(result, Tracks):
         raise TrackerError(f"{name}: expected Tracks from the tracker's update, got {type(result).__name__}.")
     class_id = result.class_id
     if class_id.dtype.kind not in "iu" or not ((class_id >= 0) & (class_id < len(ROAD_CLASSES))).all():
         raise TrackerError(f"{name}: expected class_id among {ROAD_CLASS_TABLE}, got {class_id.tolist()}.")
+    if not name.startswith("track_range."):
+        if len(np.unique(result.track_id[result.track_id >= 0])) < len(result):
+            raise TrackerError(f"{name}: expected track_id >= 0, each once per frame, got {result.track_id.tolist()}.")
+        if not (is_valid := are_valid_boxes(result.xyxy_px)).all():
+            box = result.xyxy_px[~is_valid][0].tolist()
+            raise TrackerError(f"{name}: expected xyxy_px with finite x1 < x2 and y1 < y2, got {box}.")
     return result
 
 

@@ -16,6 +16,7 @@ _JERK_NOISE = 5.0  # random walk of the acceleration, m/s^2 per root of a second
 _INITIAL_ACCELERATION_MPS2 = 3.0  # standard deviation of the acceleration at the start
 _MAX_GAP_S = 0.35  # longest time in seconds without a measurement; the speed is unknown after it
 _OUTLIER_SIGMA = 4.0  # innovations beyond this number of standard deviations are ignored
+_LARGE_STEP_M = 4.0  # distance between two frames from which a first speed is not used until a second one agrees
 _MAX_OUTLIERS = 3  # number of consecutive outliers after which the filter starts again
 
 
@@ -25,7 +26,7 @@ class SpeedFilter:
     def __init__(self) -> None:
         self._state: ConstantVelocity | None = None
         self._middle_s = self._measured_s = -math.inf
-        self._n_outliers = 0
+        self._n_outliers = self._n_measured = 0  # consecutive outliers; measurements since the start that agree
         self._systematic_mps = math.nan
 
     def update(
@@ -45,7 +46,7 @@ class SpeedFilter:
         if math.isfinite(speed_mps):
             self._measure(middle_s, speed_mps, sigma_mps)
             self._systematic_mps = systematic_mps
-        if self._state is None:
+        if self._state is None or (self._n_measured < 2 and abs(self._state.x[0] * dt_s) > _LARGE_STEP_M):
             return math.nan, math.nan
         now = self._state.predict(np.array([dt_s / 2]), q=_JERK_NOISE**2)
         return float(now.x[0]), math.hypot(math.sqrt(float(now.P_xx[0])), self._systematic_mps)
@@ -58,9 +59,9 @@ class SpeedFilter:
             self._n_outliers = self._n_outliers + 1 if is_outlier else 0
             if not is_outlier:
                 self._state = self._state.update(innovation, np.array([sigma_mps**2]), valid=np.ones(1, np.bool_))
-                self._measured_s = middle_s
+                self._measured_s, self._n_measured = middle_s, self._n_measured + 1
             if self._n_outliers < _MAX_OUTLIERS:
                 return
         values = (speed_mps, 0.0, sigma_mps**2, 0.0, _INITIAL_ACCELERATION_MPS2**2)
         self._state = ConstantVelocity(*(np.array([value]) for value in values))
-        self._measured_s, self._n_outliers = middle_s, 0
+        self._measured_s, self._n_outliers, self._n_measured = middle_s, 0, 1

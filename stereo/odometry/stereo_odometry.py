@@ -267,9 +267,9 @@ def fit_motion(
         motion = RigidMotion(_rotation(step[:3]) @ motion.rotation, motion.translation_m + step[3:])
     by_offset = np.asarray(-np.linalg.solve(information, np.einsum("ajn,an->j", weighted, by_depth)), np.float64)
     covariance = np.asarray(np.linalg.inv(information) * spread2, np.float64)
-    return MotionFit(
-        motion, covariance, by_offset, np.asarray(distance2 <= _MAX_DISTANCE2 * spread2), math.sqrt(spread2)
-    )
+    is_static = distance2 <= _MAX_DISTANCE2 * spread2
+    is_static &= motion.moved(rays, inverse_depth)[:, 2] > _MIN_RATIO  # the camera has not passed the point
+    return MotionFit(motion, covariance, by_offset, np.asarray(is_static), math.sqrt(spread2))
 
 
 def _rotation(vector: FloatArray) -> FloatArray:

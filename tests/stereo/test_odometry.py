@@ -249,3 +249,21 @@ def test_horizon_of_a_rendered_drive_with_hills():
     assert np.abs(errors_px[20:]).mean() < 2.0
     measured, true = np.array(curvatures[30:]).T
     assert np.abs(measured - true).mean() < 2e-4
+
+
+def test_points_that_the_camera_has_passed_are_not_static():
+    """A step of 100 m takes all points, at up to 60 m, behind the camera: their errors are limited, but do not count."""
+    rays, rho, _ = static_scene(RigidMotion(np.eye(3), np.array([0.0, 0.0, -1.0])))
+    passed = RigidMotion(np.eye(3), np.array([0.0, 0.0, -100.0]))
+    now = passed.moved(rays, rho)
+    now[:, 2] = np.maximum(now[:, 2], 0.05)  # as the fit limits them
+    assert fitted(rays, rho, now / now[:, 2:]).is_static.mean() < 0.1
+
+
+def test_first_speed_of_a_large_step_needs_a_second_one():
+    speeds = SpeedFilter()
+    assert math.isnan(speeds.update(0.2, 0.2, 50.0, 0.5, 0.0)[0])  # 10 m between two frames
+    assert speeds.update(0.4, 0.2, 50.0, 0.5, 0.0)[0] == pytest.approx(50.0)
+    speeds = SpeedFilter()
+    assert math.isnan(speeds.update(0.2, 0.2, 50.0, 0.5, 0.0)[0])
+    assert math.isnan(speeds.update(0.4, 0.2, 20.0, 0.5, 0.0)[0])

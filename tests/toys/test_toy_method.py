@@ -131,6 +131,7 @@ def test_method_that_fails_is_named_and_the_frames_before_it_are_kept(run_folder
     assert [row["frame"] for row in rows if row["toy_m"]] == ["0", "4"]
     assert rows[-1]["frame"] == "4"
     notes = json.loads((out / "summary.json").read_text())["notes"]
+    assert any(note.startswith("The run was stopped early, after 5 frames: ranging method 'toy'") for note in notes)
     assert [note for note in notes if note.startswith("Ranging method 'toy': 3 values ") and "(sigma_m in 3)" in note]
     assert [note for note in notes if note.startswith("ranging method 'toy', end of the run: AttributeError: ")]
 

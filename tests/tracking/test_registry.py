@@ -10,10 +10,12 @@ from track_range.tracking.registry import (
     RefinableTracker,
     TrackerError,
     TrackerOptions,
+    checked_tracks,
     create_tracker,
     find_tracker,
     register_tracker,
 )
+from track_range.tracking.tracks import Tracks
 
 BOX = Detections.of([[10, 10, 50, 50]], [0.9], [2])
 
@@ -100,3 +102,23 @@ def test_wrong_names_and_classes(name, key_word):
 def test_names_that_cannot_be_registered(name):
     with pytest.raises(ValueError, match="colon"):
         register_tracker(name, GreedyIouTracker)
+
+
+@pytest.mark.parametrize(
+    ("ids", "x2_px", "key_word"),
+    [
+        ([1, 1], 50.0, r"each once per frame, got \[1, 1\]"),
+        ([-1, 2], 50.0, "track_id >= 0"),
+        ([0, 2], np.nan, "xyxy_px"),
+    ],
+)
+def test_wrong_tracks_of_another_package(ids, x2_px, key_word):
+    tracks = Tracks(np.array(ids), np.array([[10, 10, x2_px, 50]] * 2), np.array([2, 2]), np.ones(2), np.ones(2, bool))
+    with pytest.raises(TrackerError, match=key_word):
+        checked_tracks(GreedyIouTracker(TrackerOptions()), tracks)
+    right = Tracks(
+        np.array([0, 7]),
+        np.array([[10.0, 10, 50, 50]] * 2),
+        *(getattr(tracks, n) for n in ("class_id", "score", "observed")),
+    )
+    assert checked_tracks(GreedyIouTracker(TrackerOptions()), right) is right

@@ -43,7 +43,7 @@ def refuse_expanded(option: str, names: Sequence[str], most: int) -> None:
         )
     paths = [*map(Path, names)]
     patterns = {path.with_name(f"{re.split(r'[0-9]', path.stem)[0]}*{path.suffix}") for path in paths}
-    if len(patterns) > 2:  # the names have no common beginning
+    if len(patterns) > most:  # the names have no common beginning, or too many
         patterns = {path.with_name(f"*{path.suffix}") for path in paths}
     expected = "one recording" if most == 1 else "at most two recordings"
     raise UsageError(

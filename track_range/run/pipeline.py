@@ -63,6 +63,7 @@ if TYPE_CHECKING:
 Cameras = str | Path | StereoRig | PinholeCamera  # a calibration file, or the models of the cameras
 
 
+_MAX_BACKWARDS_MPS = 20.0  # largest plausible speed backwards; a faster one has the wrong sign
 _N_LATENCIES = 1000  # latest frames of which the latency is stated
 _LONG_STEP_S, _N_LONG_STEPS = 5.0, 3  # steps between frames, so many in a row, that are probably no seconds
 _SAME_CLOCK_S = 10.0  # largest difference between a frame's time and a clock of this machine that stamps the images
@@ -331,8 +332,9 @@ def _is_number(value: object) -> bool:
 def _known_motion(ego_speed_mps: float | None) -> EgoMotion | None:
     if ego_speed_mps is None:
         return None
-    if not _is_number(ego_speed_mps) or abs(ego_speed_mps) > MAX_SPEED_MPS:
-        raise FrameError(f"ego_speed_mps: expected up to {MAX_SPEED_MPS:.0f} m/s, found {ego_speed_mps!r}.")
+    if not _is_number(ego_speed_mps) or ego_speed_mps > MAX_SPEED_MPS or ego_speed_mps < -_MAX_BACKWARDS_MPS:
+        limits = f"-{_MAX_BACKWARDS_MPS:.0f} (backwards) to {MAX_SPEED_MPS:.0f} m/s"
+        raise FrameError(f"ego_speed_mps: expected a number from {limits}, found {ego_speed_mps!r}.")
     return None if math.isnan(ego_speed_mps) else EgoMotion(float(ego_speed_mps), TABLE_SIGMA_MPS)
 
 

@@ -18,6 +18,8 @@ from rich.console import Console
 from track_range.calibration.road.from_road import focal_from_video
 from track_range.detection.detector import ObjectDetector
 from track_range.detection.yolo.detector import YoloDetector
+from track_range.foundation.errors import RunStoppedError, UserError
+from track_range.foundation.files.input_files import counted
 from track_range.foundation.installed import conflicts, installed_versions
 from track_range.foundation.progress import StepProgress
 from track_range.foundation.schema_version import SCHEMA_VERSION
@@ -249,7 +251,7 @@ class RunSession:
             *([_NO_POSITIONS] if settings.keep_gps and self.speed.track is None else []),
             *missing_outputs(settings, self.recording),
             *unused_options(settings),
-            *([f"The run was stopped early, after {n_frames} frames."] if self.stopped_by else []),
+            *([] if self.stopped_by is None else [self._stop_note(self.stopped_by)]),
             *self.frame_notes,
             *(pipeline.ranging.notes() if n_frames else ()),
             *(pipeline.scale_check.notes if pipeline.scale_check is not None and n_frames else ()),
@@ -257,10 +259,20 @@ class RunSession:
             *(note for note in pipeline.notes if note not in (*boxes, *lanes)),
             *lanes,
             *([] if speed is None else [speed]),
-            *([] if odometry is None else [f"The ego speed comes from {odometry.source}; --ego-speed off ignores it."]),
+            *([] if odometry is None else [self._odometry_note(odometry.source)]),
             *self.meter.notes,
         ]
         return [self._without_paths(note) for note in notes] if settings.anonymize else notes
+
+    def _stop_note(self, error: BaseException) -> str:
+        is_asked = isinstance(error, RunStoppedError | GeneratorExit | KeyboardInterrupt)
+        cause = str(error) if isinstance(error, UserError) else f"{type(error).__name__}: {error}"
+        return f"The run was stopped early, after {counted(len(self.rows), 'frame')}{'.' if is_asked else f': {cause}'}"
+
+    def _odometry_note(self, source: str) -> str:
+        n_frames, n_known = len(self.rows), int(np.isfinite(self.rows.ego_mps).sum())
+        part = f", but only in {n_known} of {n_frames} frames" if 2 * n_known < n_frames else ""
+        return f"The ego speed comes from {source}{part}; --ego-speed off ignores it."
 
     def _without_paths(self, note: str) -> str:
         """A note with the names of the input files instead of their paths, and without the home folder."""

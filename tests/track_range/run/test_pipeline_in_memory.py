@@ -273,7 +273,7 @@ def test_numbers_of_numpy_and_names_of_arguments(drive: Drive) -> None:
         ):
             with pytest.raises(tr.FrameError, match=f"^{name}: expected"):
                 pipeline.step(*arguments)
-        for speed in ("fast", math.inf, 1e9):
+        for speed in ("fast", math.inf, 1e9, -29.2):
             with pytest.raises(tr.FrameError, match=r"^ego_speed_mps: expected"):
                 pipeline.step(left.image, 0.2, ego_speed_mps=speed)
         assert pipeline.step(left.image, 0.2).index == 2

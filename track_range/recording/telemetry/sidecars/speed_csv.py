@@ -142,7 +142,8 @@ def _chosen(
             )
     else:
         raise TelemetryError(
-            f"{path}: expected a unit in the heading {shortened(repr(speeds[0].name))}, found none; rename it to "
+            f"{path}: expected a unit in the heading {shortened(repr(speeds[0].name))}, found none"
+            f"{'' if positions is None else ', and the positions do not move enough to show it'}; rename it to "
             "speed_mps or speed_kmh."
         )
     others.discard(column.name)
