@@ -252,7 +252,7 @@ def test_horizon_of_a_rendered_drive_with_hills():
 
 
 def test_points_that_the_camera_has_passed_are_not_static():
-    """A step of 100 m takes all points, at up to 60 m, behind the camera: their errors are limited, but do not count."""
+    """A step of 100 m takes all points, at up to 60 m, behind the camera, where their errors are limited."""
     rays, rho, _ = static_scene(RigidMotion(np.eye(3), np.array([0.0, 0.0, -1.0])))
     passed = RigidMotion(np.eye(3), np.array([0.0, 0.0, -100.0]))
     now = passed.moved(rays, rho)
