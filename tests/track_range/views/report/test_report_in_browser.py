@@ -394,6 +394,29 @@ def test_small_video_beside_the_charts(page_of: Callable[..., Any], run: Path) -
     page.wait_for_function("() => !document.getElementById('mini').classList.contains('small')")
 
 
+@pytest.mark.parametrize("happened", [(), EVENTS[:1]])
+@pytest.mark.parametrize(("width_px", "height_px"), [(1400, 900), (1920, 1080)])
+def test_video_is_in_its_place_at_the_top_of_the_page(
+    page_of: Callable[..., Any], run: Path, happened: tuple[Event, ...], width_px: int, height_px: int
+) -> None:
+    long = summary(notes=["A long note. " * 500])  # the charts are out of view at first
+    write_report(run / "top.html", long, rows(N_FRAMES, 12), happened)
+    page = page_of(run / "top.html", viewport={"width": width_px, "height": height_px})
+    wait_for_video(page)
+    places = """async (y) => {
+      scrollTo(0, y);
+      await new Promise((done) => setTimeout(done, 100));
+      const boxes = ["video", "picture"].map((id) => document.getElementById(id).getBoundingClientRect());
+      return boxes.map((box) => [box.x, box.y, box.width, box.height]);
+    }"""
+    place, slot = page.evaluate(places, 0)
+    assert place == slot
+    assert place[3] == pytest.approx(min(0.45 * height_px, place[2] * 9 / 16), abs=1)
+    for scrolled in (100, 5000):
+        assert page.evaluate(places, scrolled)[1][2:] == slot[2:]
+        assert page.evaluate(places, 0) == [place, slot]
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width_px", [360, 800, 1280])
 def test_first_screen_contains_its_parts(page_of: Callable[..., Any], run: Path, width_px: int, scheme: Any) -> None:

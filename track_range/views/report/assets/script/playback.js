@@ -101,22 +101,21 @@ function startControls() {
   video.addEventListener("pointerleave", () => { video.controls = false; });
 }
 
-// While the events or the charts of the tracks are in view and most of the video is not, it is shown small in a corner.
+// While the events or the charts of the tracks are in view and most of the video is not, it is shown small in a corner. Its place on
+// the page keeps its size, which has the shape of the video.
 function startMini() {
   const [mini, picture, close] = [byId("mini"), byId("picture"), byId("close-mini")];
   const inView = new Map();
   let isClosed = false;
   const update = () => {
     const isNeeded = inView.get(byId("tracks")) || inView.get(byId("events"));
-    const isSmall = !isClosed && hasVideo() && isNeeded && inView.get(picture) === false;
+    const isSmall = Boolean(!isClosed && hasVideo() && isNeeded && inView.get(picture) === false); // no list of events: undefined
     if (isSmall === mini.classList.contains("small")) return;
-    if (isSmall) picture.style.minHeight = `${picture.offsetHeight}px`;
-    else picture.style.minHeight = "";
     mini.classList.toggle("small", isSmall);
     close.hidden = !isSmall;
   };
   const observer = new IntersectionObserver((entries) => {
-    for (const { target, isIntersecting, intersectionRatio } of entries) inView.set(target, target === picture ? intersectionRatio > 0.3 : isIntersecting);
+    for (const { target, isIntersecting, intersectionRatio } of entries) inView.set(target, target === picture ? intersectionRatio >= 0.3 : isIntersecting);
     if (inView.get(picture)) isClosed = false;
     update();
   }, { threshold: [0, 0.3] });
@@ -129,6 +128,9 @@ function startMini() {
 
 function startVideo() {
   startControls();
+  const keepSize = () => byId("picture").style.setProperty("aspect-ratio", `${video.videoWidth} / ${video.videoHeight}`);
+  if (video.readyState) keepSize();
+  else video.addEventListener("loadedmetadata", keepSize);
   startMini();
   const follow = (time_s = video.currentTime) => {
     now_s = time_s + starts_s;
