@@ -125,7 +125,11 @@ class _Reader:
         try:
             document = read_yaml(folder / "settings.yaml", OutputError, "the settings of a run")
         except OutputError:
-            self.missing.append("settings.yaml is missing or cannot be read: the settings of the run are unknown.")
+            is_run = clip_rows(folder) is None
+            reason = (
+                "settings.yaml is missing or cannot be read" if is_run else "A fleet writes no settings.yaml of clips"
+            )
+            self.missing.append(f"{reason}: the settings of the run are unknown.")
         document = document if isinstance(document, dict) else {}
         self.settings, self.detected = _section(document, "run"), _section(document, "found")
         recorded_hash, fps = document.get("settings_hash"), self.detected.get("fps")
