@@ -1,7 +1,5 @@
 """Exceptions of training, in a module that can be imported without PyTorch."""
 
-from __future__ import annotations
-
 from importlib.util import find_spec
 
 from track_range.foundation.errors import UserError

@@ -1,7 +1,5 @@
 """The run folder: checkpoints from which a run can be resumed, and results.csv, all written atomically."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Callable, Mapping, Sequence

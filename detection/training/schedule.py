@@ -1,7 +1,5 @@
 """Learning-rate schedule, parameter groups of the optimiser, and moving average of the weights."""
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Iterator

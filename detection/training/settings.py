@@ -1,7 +1,5 @@
 """TrainingSettings, and the device and precision to train with."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal

@@ -12,8 +12,6 @@ objectness.)
 Import of the weights of an exported YOLOv5 into the PyTorch network, so that teachers run as fast as students.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

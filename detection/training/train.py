@@ -5,8 +5,6 @@ After every epoch, `last.pt` (network, average, optimiser, history) and `results
 resumed run takes the same steps as an uninterrupted one (bit by bit on a CPU, where the order of sums is fixed).
 """
 
-from __future__ import annotations
-
 import copy
 import datetime
 import json

@@ -1,7 +1,5 @@
 """Validation of a network on labelled images, with the letterbox, decoder and NMS of `YoloDetector`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 
 import numpy as np

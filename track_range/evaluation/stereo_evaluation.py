@@ -1,7 +1,5 @@
 """Evaluation of stereo matchers on pairs with known disparities."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from typing import Any
 

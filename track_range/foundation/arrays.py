@@ -1,7 +1,5 @@
 """Array type aliases, and the shape check of all data classes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

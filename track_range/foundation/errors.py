@@ -4,8 +4,6 @@ The command line prints such an error as one sentence and exits with its status;
 program and keeps its traceback.
 """
 
-from __future__ import annotations
-
 import traceback
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager

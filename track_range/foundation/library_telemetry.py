@@ -4,8 +4,6 @@ A package of track-range that imports one of them calls `disable_telemetry` in i
 variable, but only its viewer collects statistics; `track-range view` starts it with `VIEWER_VARIABLES`.
 """
 
-from __future__ import annotations
-
 import os
 
 TELEMETRY_SWITCHES = {  # environment variable, read at a package's import, and the value that disables its telemetry

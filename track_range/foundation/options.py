@@ -4,8 +4,6 @@
 API use the same names.
 """
 
-from __future__ import annotations
-
 import difflib
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -4,8 +4,6 @@ The library changes none of these settings by itself. Only the command line and 
 serve nothing else, and programs that call `tuned_process` change them.
 """
 
-from __future__ import annotations
-
 import gc
 import math
 import os

@@ -1,7 +1,5 @@
 """Types of the callbacks that report the progress of long tasks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 

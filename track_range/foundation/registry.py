@@ -1,7 +1,5 @@
 """Registry: objects of one kind by name, built in, from other packages (entry points), or registered at run time."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Iterator, Mapping

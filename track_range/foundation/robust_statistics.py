@@ -1,7 +1,5 @@
 """Robust location and scale, and the jackknife."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Version of the result files, and the check of files that another version wrote."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 SCHEMA_VERSION = 2  # of result files; increased when a column, key or unit changes its meaning or is removed

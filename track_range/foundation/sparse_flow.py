@@ -5,8 +5,6 @@ share a `BackgroundFlow`, so that the small image, the corners and their flow ar
 to the small image, with pixel centres at integers.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """TrackState: numbers stored per track from frame to frame, in arrays with the tracks on the last axis."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray

@@ -1,7 +1,5 @@
 """Validation of structured files and options with pydantic: the first error as one sentence."""
 
-from __future__ import annotations
-
 import difflib
 import math
 from collections import defaultdict

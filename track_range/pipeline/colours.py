@@ -1,7 +1,5 @@
 """Colours of tracks and warnings in the overlay, and of ranging methods in the charts of the report."""
 
-from __future__ import annotations
-
 import colorsys
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """FramePipeline: from the boxes of a frame to its result; `step` lists the stages in their order."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 

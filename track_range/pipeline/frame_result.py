@@ -1,7 +1,5 @@
 """FrameResult: tracks, distances and times to collision of one frame, as arrays and object by object."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 Detection has two steps, which threads may overlap.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections import Counter

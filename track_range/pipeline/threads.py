@@ -5,8 +5,6 @@ decode            lane lines,      network, boxes      FramePipeline.step
 network's input  \---> background work of rangers ---/
 """
 
-from __future__ import annotations
-
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import ExitStack, closing
 from dataclasses import dataclass

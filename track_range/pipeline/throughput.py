@@ -3,8 +3,6 @@
 PacedFrames makes a live source of a recording.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections import deque

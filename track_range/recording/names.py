@@ -1,7 +1,5 @@
 """Names of recordings: a file or folder, several files that are one recording, a topic of a bag, or a live source."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """open_video: the file, files, folder or topic of a bag with a name, as a `RecordedVideo`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from track_range.foundation.files.atomic_files import describe

@@ -1,7 +1,5 @@
 """RecordedVideo: the images of one camera from a file, several files, a folder of images, or a topic of a bag."""
 
-from __future__ import annotations
-
 import math
 import time
 from abc import ABC, abstractmethod

@@ -3,8 +3,6 @@
 open the videos -> find and check the calibration -> check and align with the first frames -> rectified frames
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Generator, Sequence
 from contextlib import ExitStack, closing

@@ -8,8 +8,6 @@ r"""Numbers of threads and queue lengths for reading videos (for the pipeline se
 Reading threads run at low priority, so that inference goes first when there are fewer cores than busy threads.
 """
 
-from __future__ import annotations
-
 from track_range.foundation.processes import n_usable_cores
 
 DECODER_THREADS = 1 if n_usable_cores() <= 2 else 2  # FFmpeg's per video; few, as two videos are decoded in parallel

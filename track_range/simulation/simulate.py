@@ -1,7 +1,5 @@
 """Simulation of a stereo drive with exact ground truth, or of labelled images for training a detector."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

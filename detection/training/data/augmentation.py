@@ -5,8 +5,6 @@ is resampled only once, with one affine transform. Its scale has a uniform distr
 objects are enlarged as often as reduced. (Mosaic: Bochkovskiy et al., "YOLOv4", 2020.)
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace

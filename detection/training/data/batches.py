@@ -1,7 +1,5 @@
 """Batches of training images, made in background threads and reproducible for a seed, epoch and position."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 

@@ -1,7 +1,5 @@
 """Sets of labelled images: the protocols that training uses, and a set that caches images in memory."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress

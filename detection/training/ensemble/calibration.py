@@ -11,8 +11,6 @@ which is Platt scaling with one slope per detector (Platt, "Probabilistic output
 The weight of a detector that does not know the class is 0.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -20,8 +20,6 @@ the classes that are not completely labelled. With its score s, or s = 0.12 wher
     q = sigma((logit(p) + logit(s)) / 2), and at least 0.6 s where it has a box;    0.75 s where the ensemble has none
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -12,8 +12,6 @@ which is the mean score over the views, as non-maximum suppression leaves hardly
 around their best box, and one score per detector and class, which `calibration` combines, instead of a mean score.)
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

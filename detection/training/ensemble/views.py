@@ -1,7 +1,5 @@
 """Boxes of the detectors of an ensemble in an image and in its mirror image, stored by image to resume a run."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Callable, Sequence
 from contextlib import suppress

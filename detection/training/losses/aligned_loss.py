@@ -29,8 +29,6 @@ so that scores rank boxes by their overlap as well. (Feng et al., "TOOD: Task-al
 2021, equations 4 to 6 with alpha = 1, beta = 6.)
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

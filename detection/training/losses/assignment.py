@@ -5,8 +5,6 @@ centre and in the one or two neighbouring cells that are closest to the centre. 
 leave their cell uses no neighbours. (Jocher et al., "YOLOv5", utils/loss.py of v6.)
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self
 

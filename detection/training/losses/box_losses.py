@@ -8,8 +8,6 @@ is constant in the gradient. (Zheng et al., "Distance-IoU Loss", AAAI 2020, for 
 IOU Loss", Neurocomputing 2022, for EIoU.)
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from typing import Literal

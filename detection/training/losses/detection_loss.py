@@ -18,8 +18,6 @@ which all classes share. A class that is not labelled in an image is therefore l
 or the teacher detect it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 

@@ -11,8 +11,6 @@ boxes; the correlation is independent of the scale of the features, so that leve
 2022; the convolutions: Romero et al., "FitNets", 2015.)
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import torch

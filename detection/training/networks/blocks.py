@@ -18,8 +18,6 @@ Source: Jacob et al., "Quantization and Training of Neural Networks for Efficien
 CVPR 2018.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 

@@ -1,7 +1,5 @@
 """DetectionNetwork and AnchorNetwork: base classes of the networks, as used by loss, validation and export."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import TypeVar
 

@@ -1,7 +1,5 @@
 """The networks that can be trained, by name, with their default anchors, and anchors for the boxes of a data set."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 

@@ -14,8 +14,6 @@ level is for objects that fill the image, of which a cell of P5 sees only a part
 distances: Li et al., "Generalized Focal Loss", NeurIPS 2020. The fourth level: Yu et al., "PP-PicoDet", 2021.)
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

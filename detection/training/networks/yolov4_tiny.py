@@ -7,8 +7,6 @@
 2020, for a description of the network and its CSP blocks; scale_x_y = 1.05 as in AlexeyAB's yolov4-tiny.cfg.)
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 

@@ -6,8 +6,6 @@
 (Jocher et al., "YOLOv5", v6.0, its yolov5n.yaml and yolov5s.yaml for depth and width; CBAM behind the backbone's C3.)
 """
 
-from __future__ import annotations
-
 import math
 
 import torch

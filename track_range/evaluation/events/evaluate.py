@@ -4,8 +4,6 @@ Hits, misses, false alarms, leads and the objects of warnings are defined in `sc
 labelled boxes with closing speeds are known, the errors of the closing speeds are added, by class.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Container, Sequence
 from dataclasses import dataclass, field

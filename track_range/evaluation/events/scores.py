@@ -23,8 +23,6 @@ number; if no warning has the number of the contact, to contacts of the same cla
 `WINDOW_S` after the warning.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence

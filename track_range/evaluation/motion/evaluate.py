@@ -1,7 +1,5 @@
 """Evaluation of closing speed, speed over ground, time to collision and warnings on labelled drives."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from track_range.evaluation.motion.labelled_motion import LabelledMotion, kitti_motion

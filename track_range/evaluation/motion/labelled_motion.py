@@ -8,8 +8,6 @@
 The labels of a track before and after are used whether they are visible or not, since KITTI's 3-D boxes are from lidar.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 Methods measure each frame's boxes; the stage of a run fuses and filters them, and the collision warning follows.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace

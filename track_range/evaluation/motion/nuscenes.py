@@ -7,8 +7,6 @@ has the same size in all images, which is its identity. V is the speed of the ca
     closing speed = V - v_z - w x
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -9,8 +9,6 @@ clipped to +-20 s, over objects that approach:
 s is the ratio of the object's size 0.1 s before to its size now.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping
 from typing import Any

@@ -6,8 +6,6 @@ the last image that overlaps its box most. The official score is the mean over n
 and far vehicles of the mean squared error of the velocity, where vehicles without an answer count with a velocity of 0.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

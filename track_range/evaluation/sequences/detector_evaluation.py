@@ -6,8 +6,6 @@ confidence, `--min-score`. Average precision and recall are also evaluated by si
 scores is measured.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """HOTA, CLEAR and identity metrics of tracks against ground truth, per sequence and combined."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict

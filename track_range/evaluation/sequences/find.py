@@ -8,8 +8,6 @@ DIR/settings.yaml           one sequence: the tracks.csv or tracks.parquet of a 
 runs/clip=NAME              one sequence: the tracks.parquet of a fleet's clip
 """
 
-from __future__ import annotations
-
 import configparser
 import os
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """LabelledSource: images with their labels, from a folder of images or the frames of a video."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -3,8 +3,6 @@
 MOTChallenge's files of results count frames and pixels from 1, KITTI's, which have fewer classes, from 0.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Reader of NumPy's .npy files; sizes are checked before memory is allocated, and pickles are never loaded."""
 
-from __future__ import annotations
-
 import math
 import os
 from pathlib import Path

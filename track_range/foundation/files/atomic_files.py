@@ -4,8 +4,6 @@ A reader sees the complete old or the complete new content, however the program 
 OSError; callers convert them to their own error class with `writable`.
 """
 
-from __future__ import annotations
-
 import os
 import tempfile
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Cache folder of track-range: the only place outside a run's output folder that is written to."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """CSV tables with named columns; errors name the file and the line."""
 
-from __future__ import annotations
-
 import csv
 import re
 from collections.abc import Iterable, Sequence

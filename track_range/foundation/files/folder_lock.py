@@ -7,8 +7,6 @@ take it. The file contains the process, its start time and the host, for message
 On file systems without such locks (some network file systems) the folder is not locked.
 """
 
-from __future__ import annotations
-
 import errno
 import json
 import os

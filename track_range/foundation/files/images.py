@@ -3,8 +3,6 @@
 A compressed file of a few kilobytes can announce an image that takes gigabytes.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import re

@@ -3,8 +3,6 @@
 Pipes, devices and folders are refused before they are read: a named pipe would block, and /dev/zero has no end.
 """
 
-from __future__ import annotations
-
 import codecs
 import errno
 import os

@@ -1,7 +1,5 @@
 """Numbers in text files, more strictly than Python's `float`, which accepts 1_000 and digits of other scripts."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 

@@ -1,7 +1,5 @@
 """Output files: atomic writing, checks before the work begins, and errors as one sentence."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence

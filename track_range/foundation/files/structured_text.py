@@ -5,8 +5,6 @@
 Aliases are refused because a file of 500 bytes with nested aliases expands to gigabytes (the "billion laughs" attack).
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -3,8 +3,6 @@
 A document type may declare entities that expand to gigabytes ("billion laughs") or name other files, so it is refused.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import BinaryIO, NoReturn, Protocol

@@ -3,8 +3,6 @@
 ROS 2 bags in SQLite's format (.db3) are read here.
 """
 
-from __future__ import annotations
-
 import re
 import sqlite3
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """BagVideo: the images of one topic of an MCAP file or ROS bag as a video; only one chunk of the file is in memory."""
 
-from __future__ import annotations
-
 import itertools
 import re
 from collections.abc import Generator

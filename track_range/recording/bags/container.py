@@ -4,8 +4,6 @@ rosbags' AnyReader refuses MCAP files with Foxglove's messages, files that are c
 not see the journal that a killed recorder leaves. So each format has one reader here, for whole and for cut files.
 """
 
-from __future__ import annotations
-
 import bz2
 import sqlite3
 import struct

@@ -1,7 +1,5 @@
 """McapFile: messages of an MCAP file, read chunk by chunk; files without a summary (cut-off files) in sequence."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import replace

@@ -5,8 +5,6 @@ record = length of header, header (name=value, ...), length of data, data
 Format: http://wiki.ros.org/Bags/Format/2.0
 """
 
-from __future__ import annotations
-
 import io
 import struct
 from collections import Counter

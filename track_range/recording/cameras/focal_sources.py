@@ -8,8 +8,6 @@ fisheye r = f w. Wide lenses of dashcams are between the two; r = 2 f tan(w / 2)
 on, with a sigma that covers both.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping

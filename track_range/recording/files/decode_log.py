@@ -1,7 +1,5 @@
 """DecodeLog: frame numbers and counts of unusable frames of one pass over a video file."""
 
-from __future__ import annotations
-
 import heapq
 
 import numpy as np

@@ -5,8 +5,6 @@ and right of a pair stay synchronised. Times in the names, or in a file of times
 (`image_names`).
 """
 
-from __future__ import annotations
-
 import stat
 from collections.abc import Generator
 from pathlib import Path

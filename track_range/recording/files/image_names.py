@@ -9,8 +9,6 @@ else      natural order: fields of digits are compared as numbers
 1403636579763555584.png (EuRoC)   n015-2018-07-24-11-22-45+0800__CAM_FRONT__1532402927612460.jpg (nuScenes)
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import re

@@ -1,7 +1,5 @@
 """LiveAddress: the address of a camera or a network stream: `0`, `/dev/video0`, `rtsp://...`, `http://...`."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path

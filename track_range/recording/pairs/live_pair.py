@@ -4,8 +4,6 @@ left   |  a    b    c    d   |    each waiting left frame is paired with the nea
 right  |    A    B    C      |    within the tolerance is used, here (c, C), and all earlier frames are dropped
 """
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Generator
 

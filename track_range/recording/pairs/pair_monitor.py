@@ -1,7 +1,5 @@
 """PairMonitor: explains the first pairs of a run; see `stereo.alignment.pair_finding`."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import replace

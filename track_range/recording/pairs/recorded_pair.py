@@ -7,8 +7,6 @@ start at different times and run at different rates.
     right           B           D     E          a, c and E are unpaired
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Generator
 from contextlib import closing

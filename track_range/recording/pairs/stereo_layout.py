@@ -4,8 +4,6 @@ given -> stated by the file (frame packing of H.264 and HEVC, StereoMode, st3d, 
       -> stated by the name (drive_SBS.mp4) -> halves that match as left and right do
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence

@@ -8,8 +8,6 @@ A lag counts after two checks of successive frames with the same result: that th
 earlier has no lag. Until then, stereo is off in the frames that contradict the present pairing.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Iterable, Iterator

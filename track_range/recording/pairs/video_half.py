@@ -1,7 +1,5 @@
 """VideoHalf: the images of one camera in a video whose images contain two cameras beside or below each other."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Generator
 

@@ -4,8 +4,6 @@ pairs -> read_ahead() -> alignment, checks
                \-> buffer of at most `max_ahead_bytes` -> iteration: buffered pairs first (freed one by one), the rest
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Generator

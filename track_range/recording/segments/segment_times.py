@@ -7,8 +7,6 @@ start of file i+1 = end of file i        unless the times of the headers or name
                                          frames of file i+1 are the last ones of file i
 """
 
-from __future__ import annotations
-
 import itertools
 import re
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """usable: telemetry without implausible samples, or the reason for which a track is not used at all."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -4,8 +4,6 @@ ExifTool (exiftool.org) is used if it is installed. Its output is one JSON objec
 "document", and the keys are DOCUMENT:TAG, such as "Doc12:GPSSpeed", or "Doc3-2:GPSSpeed" in a sample with several.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import re

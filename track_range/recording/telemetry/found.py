@@ -6,8 +6,6 @@
 Telemetry that cannot be used is a note, and the next file is tried.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Speed and course from positions, for files that state no speed, and the unit of stated speeds by comparison."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -3,8 +3,6 @@
 --ego-speed auto    ego_speed.csv or oxts beside the video  >  inside the video  >  beside it, with its name
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Sequence

@@ -9,8 +9,6 @@ grid, with the best k and q for each o. Both likelihoods are multiplied; the mea
 are the result. The noise n of the yaw rate is estimated from its residual, with the time over which it is correlated.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ UTC or local time, video with UTC       the difference of the clocks; where no t
 UTC or local time, video without        from the start of the video, if both have the same length
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from datetime import UTC, datetime

@@ -1,7 +1,5 @@
 """Writing of a drive's images, as a video or lossless PNGs, and maps of true disparities, objects, heads and plates."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path

@@ -5,8 +5,6 @@ the true principal point, so that the shift is exact. Rain consists of streaks o
 with the corresponding disparities.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

@@ -5,8 +5,6 @@ three frames. Box edges have Gaussian errors, scores depend on height and occlus
 network is involved: the detections exercise the rest of the program, and are no measure of detection accuracy.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

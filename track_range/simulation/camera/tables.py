@@ -13,8 +13,6 @@ contacts.csv      one row per contact of the ego vehicle, earliest first: object
 ego_speed.csv     the camera's speed along the road at the times of the left frames: time_s,speed_mps
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -4,8 +4,6 @@
 that no nearer surface hides. Pixel operations use OpenCV, which releases the GIL for other threads.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import cv2

@@ -4,8 +4,6 @@ Light on a surface at depth z:   ambient + beam(x, y) min(1, (12 m / z)^1.3)    
 Every visible lamp adds a glow: the lamp, and a halo as caused by lens and air.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import cv2

@@ -5,8 +5,6 @@ every stretch has the same part of the texture in every frame. Farther stretches
 averaged along the road by the same factor, since perspective shortens them by more than that.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import cache
 

@@ -20,8 +20,6 @@ kinds count:
 Contacts after the end of the drive do not count. An object has one contact, the earliest.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise

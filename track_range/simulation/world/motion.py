@@ -7,8 +7,6 @@ lane     u |     ___    u(t) = by_m (3 q^2 - 2 q^3), q = (t - from) / (to - from
            | ___/
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, TypeVar
 

@@ -7,8 +7,6 @@ that every stretch is a parallelogram. Positions on the road are (across, z), `a
 lane's centre.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

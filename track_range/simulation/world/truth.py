@@ -6,8 +6,6 @@ through the box: a ray that meets the object's 3-D box sees it unless another ob
 depth is given, any drawn surface is nearer.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

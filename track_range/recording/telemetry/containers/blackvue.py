@@ -4,8 +4,6 @@ The stamps are milliseconds since 1970 on the camera's clock (UTC or local time)
 the start of the video; without it the first sentence counts as the start.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import BinaryIO

@@ -4,8 +4,6 @@ Format: developers.google.com/streetview/publish/camm-spec. Type 6 has velocitie
 files in which all velocities of type 6 are 0: speed is then derived from the positions.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from pathlib import Path

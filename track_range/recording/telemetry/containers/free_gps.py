@@ -7,8 +7,6 @@ floating-point numbers are little-endian; coordinates are degrees and minutes (D
 stated. Coordinates that a maker encrypts or shifts are still passed on; only speed and course matter.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import struct

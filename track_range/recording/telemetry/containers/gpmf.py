@@ -8,8 +8,6 @@ GPS5  latitude, longitude, altitude, horizontal speed, speed in space; with GPSF
 GPS9  as GPS5, then days since 2000, seconds of the day, dilution of precision and fix of each row; since HERO11
 """
 
-from __future__ import annotations
-
 import math
 import re
 import struct

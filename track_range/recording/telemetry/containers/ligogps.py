@@ -5,8 +5,6 @@ are encrypted: then the number before "km/h" is in knots, and the positions are 
 as the camera is set. Layouts and encryption after ExifTool's documentation (exiftool.org, LIGO tags).
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Sequence

@@ -12,8 +12,6 @@ Only headers and tables are read, never the media data, so that a video of many 
 tables give fewer samples, and damaged fragments none, never an exception.
 """
 
-from __future__ import annotations
-
 import os
 import struct
 from collections.abc import Callable, Iterator, Sequence

@@ -4,8 +4,6 @@ Packets of 188 bytes, or 192 with a time stamp before each (ISO/IEC 13818-1). Th
 end, as it has no index; without a private stream at its start it is not read further.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from operator import itemgetter

@@ -3,8 +3,6 @@
 The times are the video's at the same offset in the file, or one second per box.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Iterable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """Positions and speeds in MCAP files and ROS bags: NavSatFix, TwistStamped, Odometry and their relatives."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import suppress
 from itertools import islice

@@ -5,8 +5,6 @@ message in protobuf follows: field 2 gear (2 = reverse), 4 vehicle_speed_mps (fl
 longitude_deg, 13 heading_deg (double). Fields that are 0 are not written. The sign of the speed is dropped.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Iterator

@@ -4,8 +4,6 @@ Thinkware, Nextbase and many others write RMC sentences; Garmin, DJI, Kingslim, 
 their own forms, as ExifTool's documentation of QuickTime streams lists them (exiftool.org).
 """
 
-from __future__ import annotations
-
 import math
 import re
 import struct

@@ -1,7 +1,5 @@
 """FIT files of Garmin and other sports computers, read with fitdecode: records with position and speed."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """GPX files, read with gpxpy after a check of the XML: GPX 1.0 and 1.1 with the speeds of their extensions."""
 
-from __future__ import annotations
-
 import io
 import math
 from datetime import UTC

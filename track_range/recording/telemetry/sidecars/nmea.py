@@ -3,8 +3,6 @@
 Files without RMC are read from GGA (time of the day, position), VTG (speed, course) and ZDA (date).
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterable

@@ -3,8 +3,6 @@
 A format is a module with a reader, and a row of `SIDECARS`.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path

@@ -6,8 +6,6 @@ The seconds are since 1970, of a clock whose time zone is unknown and which diff
 The rows of a video follow the rows of the previous video, which gives the start of the video to about a second.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

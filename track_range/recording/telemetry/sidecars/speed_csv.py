@@ -5,8 +5,6 @@ positions decide; without positions, a speed needs a unit in its heading (`speed
 the car's own instruments come before its GPS receiver.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections import defaultdict

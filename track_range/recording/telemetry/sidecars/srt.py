@@ -1,7 +1,5 @@
 """SRT subtitles with positions or speeds: DJI's drones and cameras, dashcams and apps; NMEA sentences in subtitles."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterable, Sequence

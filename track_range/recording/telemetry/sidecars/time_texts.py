@@ -1,7 +1,5 @@
 """Dates and times in text: ISO 8601, and the notations of loggers and apps."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from datetime import UTC, datetime

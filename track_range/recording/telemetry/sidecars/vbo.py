@@ -3,8 +3,6 @@
 Source: Racelogic, "VBO File Format". Longitudes are positive in the west.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """TCX files of Garmin and others, and KML files with times: Google's gx:Track, and places with a time stamp."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from datetime import UTC, datetime

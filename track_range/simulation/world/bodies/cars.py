@@ -6,8 +6,6 @@ r"""Car bodies: a hull with chamfered corners on four wheels, and a glazed cabin
   (o)-------(o)   x ->  heights are fractions of its height.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -7,8 +7,6 @@ bottom centre of the 3-D box. A face is corner + s along + t down, with s and t 
 points right and `down` points down, so that along x down points away from the viewer.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum

@@ -1,7 +1,5 @@
 """The bodies of obstacles: round poles, fences with gaps, and bushes of several layers of leaves."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import cv2

@@ -1,7 +1,5 @@
 """Bodies of pedestrians, cyclists and motorcyclists: rounded trunks and heads, tapered limbs, wheels."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

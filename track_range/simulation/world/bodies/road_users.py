@@ -1,7 +1,5 @@
 """The bodies of road users, by type; of signs and lights, a plate or housing on a pole or gantry without a label."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import cv2

@@ -5,8 +5,6 @@ paint where it meets the 3-D box (except above the bonnet of vans and trucks, wh
 above). Below the sill there are wheels, with the road visible between them.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from track_range.simulation.world.bodies.cars import LAMP_RED, LAMP_WHITE

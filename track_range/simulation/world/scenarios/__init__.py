@@ -1,7 +1,5 @@
 """The scenarios by name: ordinary traffic, drives that end in a contact with their harmless twins, and occlusion."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from track_range.simulation.world.scenarios import conflicts, traffic

@@ -1,7 +1,5 @@
 """Parts of scenarios: road users, lanes of traffic without collisions, parked cars, pedestrians, signs, roads."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any

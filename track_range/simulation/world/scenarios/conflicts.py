@@ -13,8 +13,6 @@ vehicle takes the speed of what it hits along the road within `CRASH_S`, and bot
 where the contact happens. `contacts.py` has the exact time.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -9,8 +9,6 @@ Before and after these times the camera passes, and the occluders cover other pa
 no occluder. A vehicle ahead in the ego lane may hide another vehicle, at the speed of the ego vehicle.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np

@@ -8,8 +8,6 @@ empty      a country road without road users                        night     th
 The town is `scene.make_scene`.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Textures of static scenery: ground, houses, woods, guard rails, trees, sky; BGRA, alpha 0 where transparent."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import cv2

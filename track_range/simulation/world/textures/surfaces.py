@@ -4,8 +4,6 @@ A stereo matcher needs detail on a car at 6 m as well as at 80 m, where a pixel 
 the value noise (Perlin, "An image synthesizer", SIGGRAPH 1985) has the same contrast.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cache
 from typing import Any
