@@ -183,6 +183,9 @@ def test_run_without_rows_is_refused(run: Path, tmp_path: Path, cli: Cli) -> Non
         status, _, stderr = cli(*arguments)
         assert status == 1
         assert "found neither; restore" in stderr
+    (run / "truth.txt").unlink()
+    with pytest.raises(LabelFileError, match=r"rows of the run in .*tracks\.csv, found no such file"):
+        find_sequences(run, "det")
     assert page.read_bytes() == before
     assert not (tmp_path / "boxes.json").exists()
 

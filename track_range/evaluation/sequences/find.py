@@ -113,10 +113,15 @@ def listed(names: Sequence[str]) -> str:
 def _rows_of_run(folder: Path) -> Path | None:
     """The file with the rows of a run, which has the classes that mot.txt lacks; None if this is not a run's folder."""
     path = clip_rows(folder)
-    rows = rows_file(folder, is_rounded=True) if path or os.path.isfile(folder / "settings.yaml") else None
-    if path is not None and rows is None:
-        raise LabelFileError(f"{folder}: expected the rows of this clip in {path}, found no such file.")
-    return None if rows is None or rows.suffix == ".arrows" else rows
+    if path is None and not os.path.isfile(folder / "settings.yaml"):
+        return None
+    rows = rows_file(folder, is_rounded=True)
+    if rows is not None and rows.suffix != ".arrows":
+        return rows
+    if path is not None or (os.path.isfile(folder / "summary.json") and not _text_files(folder)):
+        expected = path or folder / "tracks.csv"
+        raise LabelFileError(f"{folder}: expected the rows of the run in {expected}, found no such file.")
+    return None
 
 
 def _text_files(folder: Path, suffixes: Sequence[str] = (".txt",)) -> list[Path]:
