@@ -75,9 +75,8 @@ class ShapeCheck:
             del self._times_s[0]
             focal_px, sigma = posterior.guess
             if posterior.n_tracks:
-                name = f"the shapes of {posterior.n_tracks} vehicles"
                 error = math.log(self._camera.fx_px / focal_px)
-                self.evidence = Evidence(name, (0, 0, 0, 1, 0), error, _INFLATION * sigma)
+                self.evidence = Evidence(posterior.shapes, (0, 0, 0, 1, 0), error, _INFLATION * sigma)
             return
         if time_s >= self._view_due_s:
             self._view_due_s = time_s + _VIEW_INTERVAL_S

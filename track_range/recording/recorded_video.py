@@ -131,8 +131,10 @@ class RecordedVideo(ABC):
                 yield frame
         self.check_unchanged()
         if is_empty:
-            part = "" if math.isinf(until_s) else f" to {until_s:.2f} s"
+            end_s = self.first_time_s + (self.n_total or math.inf) / self.fps if self.fps else math.inf
+            part = f" to {until_s:.2f} s" if until_s < end_s else ""
+            end = "" if math.isinf(end_s) else f" and ends at {end_s:.2f} s"
             raise VideoError(
                 f"{self.path}: there is no frame from {from_s:.2f} s{part}; the video starts at "
-                f"{self.first_time_s:.2f} s, choose another start or duration."
+                f"{self.first_time_s:.2f} s{end}, choose another start or duration."
             )

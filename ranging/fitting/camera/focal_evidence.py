@@ -25,6 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
+from track_range.foundation.files.input_files import counted
 from track_range.ranging.fitting.camera.measurements import FocalGuess, SceneBoxes
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxNoise, measured_boxes
@@ -68,8 +69,13 @@ class FocalPosterior:
     def as_guess(self, guesses: Sequence[FocalGuess]) -> FocalGuess:
         """The result as a guess that names the guesses it was computed from."""
         source = " and ".join(guess.source for guess in guesses)
-        shapes = f", and the shapes of {self.n_tracks} vehicles" if self.n_tracks else ""
+        shapes = f", and {self.shapes}" if self.n_tracks else ""
         return FocalGuess(*self.guess, source + shapes)
+
+    @property
+    def shapes(self) -> str:
+        """Name of the evidence of the shapes, for messages."""
+        return f"the shapes of {counted(self.n_tracks, 'vehicle')}"
 
     @property
     def guess(self) -> tuple[float, float]:

@@ -100,7 +100,7 @@ def test_frame_without_tracks() -> None:
     [
         (0.6, 1.0, 0.1, "TTC 0.6 s  closing 20.5 m/s"),
         (np.nan, 1.7, 0.1, "closing 20.5 m/s"),  # its edge and that of the path, 1.8 m wide each, overlap
-        (np.nan, 1.9, 0.1, "passes in 0.7 s  closing 20.5 m/s"),
+        (np.nan, 1.9, 0.1, "beside in 0.7 s  closing 20.5 m/s"),
         (np.nan, -1.9, 0.3, "closing 20.5 m/s"),  # a contact is possible
         (np.nan, np.nan, 0.1, "closing 20.5 m/s"),
     ],

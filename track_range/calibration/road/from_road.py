@@ -256,11 +256,7 @@ def separability(
 ) -> tuple[str, ...]:
     """Sentences on focal length, camera height and pitch, alone and in pairs; `by_shape` is the prior of the fit."""
     camera, (shape_px, shape_sigma) = fit.camera, by_shape.guess
-    origin = guesses[0].source if len(guesses) == 1 else " and ".join(guess.source for guess in guesses)
-    if by_shape.n_tracks:
-        origin += (
-            f", and the shapes of {by_shape.n_tracks} vehicles ({shape_px:.0f} px within {100 * shape_sigma:.0f} %)"
-        )
+    origin = by_shape.as_guess(guesses).source
     focal = f"Focal length {camera.fx_px:.0f} px within {100 * fit.focal_sigma:.1f} %"
     sentences = []
     if fit.contradiction != 1.0:
@@ -270,7 +266,10 @@ def separability(
             f"sigma. All sigmas are {fit.contradiction:.1f} times as large; check boxes and metres."
         )
     if fit.gain("focal length") < _DETERMINED:
-        sentences.append(f"{focal}, from the measurements (before: {shape_px:.0f} px, from {origin}).")
+        sentences.append(
+            f"{focal}, from the measurements; without them, {shape_px:.0f} px within {100 * shape_sigma:.0f} %, "
+            f"from {origin}."
+        )
     else:
         sentences.append(f"{focal}: the measurements do not determine it; it comes from {origin}.")
     height = f"Camera height {fit.height_m:.2f} ± {fit.height_sigma_m:.2f} m"

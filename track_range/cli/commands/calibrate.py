@@ -8,6 +8,7 @@ from track_range.calibration.settings import CalibrationSettings
 from track_range.cli.console import console, print_grid, print_line
 from track_range.cli.parameters import command
 from track_range.foundation.errors import UsageError
+from track_range.foundation.files.input_files import counted
 from track_range.run.progress import step_progress
 from track_range.stereo.calibration.board_views import RejectedView
 from track_range.stereo.calibration.boards import CalibrationError
@@ -80,7 +81,10 @@ def _calibrate_on_road(settings: CalibrationSettings) -> None:
         return lambda frame: network.detect(frame.left)
 
     calibration = calibrate_on_road(settings, open_detect, partial(step_progress, console))
-    print_line(console, f"{calibration.n_frames} frames of the video, {calibration.by_shape.n_tracks} vehicles.")
+    print_line(
+        console,
+        f"{counted(calibration.n_frames, 'frame')} of the video, {counted(calibration.by_shape.n_tracks, 'vehicle')}.",
+    )
     residuals = calibration.fit.residuals
     if residuals:
         columns = [

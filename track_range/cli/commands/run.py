@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from track_range.cli.parameters import PairCommand, command_of, given_values, parameters
 from track_range.foundation.errors import UsageError
+from track_range.foundation.files.input_files import counted
 from track_range.foundation.options import Options, option
 from track_range.foundation.processes import tuned_process
 from track_range.run.settings import RunSettings
@@ -138,7 +139,7 @@ def _print_tables(run: Run, console: Console, *, is_verbose: bool) -> None:
             print_summary(console, run.summary)
         print_outcome(run, console)
         rate = frames_per_s(run.summary)
-        print_line(console, f"{run.summary['frames']} frames" + (f", {rate:.1f} per second." if rate else "."))
+        print_line(console, counted(run.summary["frames"], "frame") + (f", {rate:.1f} per second." if rate else "."))
     if run.files:
         names = ", ".join(file.name for file in run.files)
         print_line(console, f"Results in {run.files[0].parent}: {names}")

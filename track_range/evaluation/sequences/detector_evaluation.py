@@ -127,7 +127,7 @@ def evaluate(
         "notes": [
             *_notes(candidates, scores, frames.unreadable),
             *(_DETAIL_NOTES if is_detailed else ()),
-            *([] if is_complete else [f"The evaluation was stopped early, after {len(truth)} images."]),
+            *([] if is_complete else [f"The evaluation was stopped early, after {counted(len(truth), 'image')}."]),
         ],
     }
 

@@ -36,7 +36,7 @@ from track_range.fleet.output.data_set import ClipTable, journal_rows, publish_r
 from track_range.fleet.output.record import Row, utc_now
 from track_range.fleet.output.state import FleetState
 from track_range.fleet.settings import size_bytes
-from track_range.foundation.files.input_files import shortened
+from track_range.foundation.files.input_files import counted, shortened
 from track_range.foundation.processes import is_running
 
 ErrorKind = Literal["", "input", "crash", "memory", "timeout", "fetch", "internal"]  # kind of a failure; "" = none
@@ -299,8 +299,8 @@ class Driver:
         limit_s = time_limit_s(self._settings.timeout, at.video_s, at.fetch_bytes, at.frames)
         if elapsed_s > limit_s:
             return "timeout", (
-                f"the time limit of {limit_s:.0f} s (--timeout) was exceeded while {at.phase}, after {at.frames} "
-                "frames."
+                f"the time limit of {limit_s:.0f} s (--timeout) was exceeded while {at.phase}, after "
+                f"{counted(at.frames, 'frame')}."
             )
         return None
 

@@ -3,7 +3,7 @@
 +------------------------+   fused distance (large) and its sigma, class and track ID in the colour of the track;
 | 22.4 m ±0.7   car 12   |   distance by each method, after its letter in the registry;
 | M 23.1  S 22.4  G 22.0 |   for a closing object time to collision of the front and closing speed, on a bar that fills
-|#TTC 3.6 s##closing 6.2 |   as the time decreases, amber or red if urgent; "passes in" without a bar if it passes by.
+|#TTC 3.6 s##closing 6.2 |   as the time decreases, amber or red if urgent; "beside in" without a bar if it passes by.
 +------------------------+   The text has another colour on the filled part of the bar.
 """
 
@@ -122,7 +122,7 @@ def closing_span(
     if not closing_mps > CLOSING_SHOWN_MPS:
         return None
     speed = f"closing {closing_mps:.1f} m/s"
-    text = f"{'passes in' if passes else 'TTC'} {ttc_s:.1f} s  {speed}" if ttc_s < TTC_SHOWN_S else speed
+    text = f"{'beside in' if passes else 'TTC'} {ttc_s:.1f} s  {speed}" if ttc_s < TTC_SHOWN_S else speed
     filled = min(1.0, 1 - ttc_s / BAR_S) if ttc_s < BAR_S and not passes else 0.0
     return Span(text, size_px, REGULAR if alarm is None else BOLD, WHITE, alarm or CALM, filled)
 

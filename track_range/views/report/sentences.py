@@ -104,7 +104,10 @@ def _collision_headline(columns: Columns, users: Sequence[Mapping[str, Any]]) ->
     known = [user for user in users if user["min_ttc_front_s"] is not None]
     if known:
         user = min(known, key=lambda one: one["min_ttc_front_s"])
-        figure, words = f"{user['min_ttc_front_s']:.1f} s", "shortest time to a collision of the front"
+        figure, words = (
+            f"{user['min_ttc_front_s']:.1f} s",
+            "shortest time to collision with the front of the camera's vehicle",
+        )
         return _user_moment(user, "min_ttc_front_s", figure, words)
     is_user = np.isin(columns["track_id"], [user["track_id"] for user in users])
     probability = np.where(is_user, column(columns, "contact_probability"), np.nan)

@@ -48,6 +48,11 @@ def test_packing_round_trip(values: list[float]) -> None:
     np.testing.assert_allclose(unpacked(packed(np.array(values), 100), 100), values, atol=0.0051)
 
 
+def test_smallest_distance_is_rounded_once() -> None:
+    (record,) = track_records(drive(2, fused_m=np.array([12.648, 20.0])))
+    assert record["near_m"] == 12.6
+
+
 def test_track_record() -> None:
     truth_m = np.array([40.0, np.nan, 48.0])
     columns = drive(

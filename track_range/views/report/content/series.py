@@ -93,7 +93,7 @@ def track_records(columns: Columns) -> Iterator[dict[str, Any]]:
 
 
 def _properties(track: Columns, extremes: Mapping[str, Any]) -> dict[str, Any]:
-    near_m, ttc_s = (extremes[key] and round(extremes[key], 2) for key in ("min_distance_m", "min_ttc_front_s"))
+    near_m, ttc_s = (extremes[key] and round(extremes[key], 1) for key in ("min_distance_m", "min_ttc_front_s"))
     time_s, fused_m, truth_m = column(track, "time_s"), column(track, "fused_m"), column(track, "truth_m")
     error = np.abs(fused_m / np.where(truth_m > 0, truth_m, np.nan) - 1.0)
     error = error[np.isfinite(error)]
@@ -108,7 +108,7 @@ def _properties(track: Columns, extremes: Mapping[str, Any]) -> dict[str, Any]:
         "to_s": round(float(time_s[-1]), 3),
         "near_m": near_m,
         "ttc_s": ttc_s,
-        "error_pct": round(100 * float(np.median(error)), 2) if len(error) else None,
+        "error_pct": round(100 * float(np.median(error)), 1) if len(error) else None,
     }
 
 
