@@ -38,6 +38,9 @@ _MIN_GROUND, _GROUND_LEAD = 0.5, 0.1  # minimum correlation of the half of the i
 _NEGATIVE_PX, _MIN_EXCHANGED, _MAX_NEGATIVE = -3.0, 0.3, 0.1
 _MIN_STEPS, _MIN_SUPPORT = 3, 0.25  # smallest number of steps, and support, of an offset
 _MIN_OFFSET_PX, _MIN_SIGMAS = 5.0, 4.0  # smallest error of the disparities that is corrected here
+# fractions of the points with less disparity than half of the offset: far points have that of a negative one, none has
+# less than a positive one
+_MIN_FAR, _MAX_BEYOND = 0.03, 0.25
 _MODEL_PX = 2.0  # standard deviation of the offset from other errors than noise
 _YAW_ERROR_DEG = 0.7  # largest error of the yaw from rows
 # Smallest yaw that is not residual distortion, and one that rows show clearly, with the smallest ratios of the supports
@@ -167,6 +170,12 @@ def _is_offset(motion: Motion) -> bool:
     return motion.n_steps >= _MIN_STEPS and motion.support > _MIN_SUPPORT and abs(motion.offset_px) > smallest_px
 
 
+def _has_far_points(disparity_px: FloatArray, offset_px: float) -> bool:
+    """Whether the smallest disparities, of far points, have the offset, rather than the points of one near object."""
+    beyond = float((disparity_px < offset_px / 2).mean())
+    return beyond > _MIN_FAR if offset_px < 0 else beyond < _MAX_BEYOND
+
+
 def _arranged(figures: PairFigures, exchanged: bool | None) -> PairFinding:
     how = _ARRANGED[figures.arrangement]
     which = "one of the two videos" if exchanged is None else "the left video" if exchanged else "the right video"
@@ -206,7 +215,8 @@ def _verged(figures: PairFigures, rig: StereoRig) -> PairFinding:
     prior = NOT_MEASURED
     if view.rows_px(rig.left) > _MIN_ROWS_PX:
         prior = Alignment(row_offset_px=view.row_offset_px, roll_deg=view.roll_deg, focal_ratio=view.focal_ratio)
-    if motion is None or not (is_yaw or _is_offset(motion)):
+    is_offset = motion is not None and _is_offset(motion) and _has_far_points(figures.disparity_px, motion.offset_px)
+    if motion is None or not (is_yaw or is_offset):
         negative = float((figures.disparity_px < _NEGATIVE_PX).mean())
         return _contradictory(figures, rig) if negative > _MAX_NEGATIVE else PairFinding("fits", prior=prior)
     sigma_px, yaw_deg, offset_px = math.hypot(_MODEL_PX, motion.sigma_px), 0.0, motion.offset_px

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from track_range.recording.pairs.pair_monitor import PairMonitor
 from track_range.recording.recording import open_recording
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
 from track_range.simulation.world.scene import make_scene
-from track_range.stereo.alignment.pair_evidence import PairEvidence
+from track_range.stereo.alignment.pair_evidence import Motion, PairEvidence
 from track_range.stereo.alignment.pair_finding import PairFinding, find_fault
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
@@ -77,6 +78,17 @@ def test_shifted_images_are_corrected(offset_px: float) -> None:
     assert finding.prior.yaw_deg == 0.0
     assert finding.prior.offset_px == pytest.approx(-offset_px, abs=2 * finding.prior.residual_px)
     assert 1.0 < finding.prior.residual_px < 4.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("offset_px", [-41.0, 41.0])
+def test_offset_that_far_points_do_not_have_is_no_fault(offset_px: float) -> None:
+    """As a near bus that moves causes, in whose frame most points are."""
+    evidence = PairEvidence(RIG.left)
+    for left, right in of_drive():
+        evidence.add(left, right)
+    motion = Motion(1500, 6, 0.46, offset_px, 1.0, 0.08)
+    assert find_fault(replace(evidence.figures(), motion=motion, turned_motion=None), RIG).fault == "fits"
 
 
 @pytest.mark.slow
