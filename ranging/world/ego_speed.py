@@ -85,14 +85,17 @@ class EgoSpeed:
         step_mps, step_s = (float(x[after] - x[after - 1]) for x in (self.speed_mps, self.time_s))
         return math.hypot(self.speed_sigma_mps, step_mps / step_s * self.time_sigma_s)
 
-    def note(self, last_s: float) -> str | None:
-        """Note for the user on a video with its last frame at `last_s`; None if the samples cover all of the video."""
+    def note(self, last_s: float, subject: str = "") -> str | None:
+        """Note for the user on a video with its last frame at `last_s`; None if the samples cover all of the video.
+
+        `subject` names the speed; "" = the speed with its source.
+        """
         first_known_s, last_known_s = float(self.time_s[0]), float(self.time_s[-1])
         if np.isneginf(first_known_s) or (first_known_s - _EDGE_S <= 0 and last_s <= last_known_s + _EDGE_S):
             return None
         return (
-            f"The ego speed from {self.source} covers {first_known_s:.1f}-{last_known_s:.1f} s of the video's "
-            f"0.0-{last_s:.1f} s; elsewhere closing speeds are estimated from distances alone."
+            f"{subject or 'The ego speed from ' + self.source} covers {first_known_s:.1f}-{last_known_s:.1f} s of the "
+            "video; elsewhere closing speeds are estimated from distances alone."
         )
 
 

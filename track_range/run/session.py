@@ -238,7 +238,8 @@ class RunSession:
         finder, ego = pipeline.detection.lane_finder, pipeline.ego.speed
         odometry = pipeline.ego.odometry if ego is None else None
         lanes = () if finder is None else finder.notes
-        speed = ego.note(self.rows.last_s) if ego is not None and n_frames else None
+        expected_s = settings.start_s + (self.recording.n_frames or 0) / self.recording.fps
+        speed = self.speed.note(self.rows.last_s if n_frames else expected_s)
         boxes = self.box_source.notes()
         notes = [
             *([ANONYMIZED] if settings.anonymize else []),
@@ -258,7 +259,7 @@ class RunSession:
             # networks that fall back from the same device have the same note
             *(note for note in pipeline.notes if note not in (*boxes, *lanes)),
             *lanes,
-            *([] if speed is None else [speed]),
+            *([speed] if speed else []),
             *([] if odometry is None else [self._odometry_note(odometry.source)]),
             *self.meter.notes,
         ]

@@ -40,9 +40,15 @@ class SpeedSource:
 
     ego: EgoSpeed | None = None  # None = unknown
     notes: tuple[str, ...] = ()  # messages for the user
+    origin: str = ""  # sentence on a source that was found; "" = it was given, or there is none
     files: tuple[Path, ...] = ()  # the files that were read, besides the videos
     offset: TimeOffset | None = None  # that of the telemetry, estimated from the images; None = not estimated
     track: TelemetryTrack | None = None  # telemetry on the clock of the recording; None = the speed has another source
+
+    def note(self, last_s: float) -> str:
+        """Origin, and part of the video with a known speed; `last_s`: time of the last frame; "" = no note."""
+        part = None if self.ego is None else self.ego.note(last_s, self.origin and "The speed")
+        return " ".join(filter(None, (self.origin, part)))
 
     def summary(self, ego_mps: FloatArray, odometry: str | None = None) -> dict[str, Any] | None:
         """Section `ego_speed` of summary.json from (N,) speeds and the odometry, if any; None = unknown speed."""
@@ -148,8 +154,8 @@ def _table_beside(part: VideoPart) -> SpeedSource:
             except (EgoSpeedError, TelemetryError) as error:
                 notes.append(f"Telemetry is not used: {error}")
                 continue
-            note = f"The ego speed comes from {path.name} beside the video; --ego-speed off ignores this file."
-            return SpeedSource(ego=ego, notes=(*notes, *checked, note), files=(path,))
+            origin = f"The ego speed comes from {path.name} beside the video; --ego-speed off ignores this file."
+            return SpeedSource(ego=ego, notes=(*notes, *checked), origin=origin, files=(path,))
     return SpeedSource(notes=tuple(notes))
 
 
@@ -196,8 +202,8 @@ def _automatic(parts: Sequence[VideoPart], motion: Callable[[], MotionSeries], n
                 offset_s, sigma_s = source.offset.offset_s, source.offset.sigma_s
                 late = "late" if offset_s >= 0 else "early"
                 shift = f", {abs(offset_s):.2f} +- {sigma_s:.2f} s {late} and corrected"
-            note = f"The ego speed comes from {telemetry.track.source}{shift}; --ego-speed off ignores this source."
-            return replace(source, notes=(*notes, note))
+            origin = f"The ego speed comes from {telemetry.track.source}{shift}; --ego-speed off ignores this source."
+            return replace(source, notes=notes, origin=origin)
         notes = (*notes, f"Telemetry is not used: {telemetry.track.source}: {problem}.")
     return SpeedSource(notes=notes)
 

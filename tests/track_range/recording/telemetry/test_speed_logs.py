@@ -1,6 +1,7 @@
 """Logs of one simulated drive in the layouts of loggers and apps: the right column, unit and time, or a refusal."""
 
 import struct
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
@@ -9,11 +10,11 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 from tests.damaged_text import check_damaged, damaged
 from tests.track_range.recording.telemetry.telemetry_files import START_S, part
-from track_range.ranging.world.ego_speed import EgoSpeedError
+from track_range.ranging.world.ego_speed import EgoSpeed, EgoSpeedError
 from track_range.recording.telemetry.checks import usable
 from track_range.recording.telemetry.found import named_telemetry
 from track_range.recording.telemetry.sidecars.reading import read_sidecar
-from track_range.recording.telemetry.speed_source import _checked, _is_table, open_ego_speed
+from track_range.recording.telemetry.speed_source import SpeedSource, _checked, _is_table, open_ego_speed
 from track_range.recording.telemetry.track import TelemetryError
 from track_range.recording.telemetry.video_clock import on_video_clock
 
@@ -335,3 +336,13 @@ def test_damaged_logs(tmp_path, name, data):
     content = DAMAGED[name]
     damaged_content = data.draw(damaged(content[: len(content) // 4]))
     check_damaged(lambda path: named_telemetry(path, [part(duration_s=60.0)]), tmp_path / name, damaged_content)
+
+
+def test_origin_and_covered_part_are_one_note() -> None:
+    ego = EgoSpeed(np.array([2.0, 3.0]), np.array([10.0, 10.0]), source="drive.gpx")
+    found = SpeedSource(ego=ego, origin="The ego speed comes from drive.gpx; --ego-speed off ignores this source.")
+    covered = "covers 2.0-3.0 s of the video; elsewhere closing speeds are estimated from distances alone."
+    assert found.note(9.0) == f"{found.origin} The speed {covered}"
+    assert replace(found, ego=None).note(9.0) == found.origin
+    assert SpeedSource(ego=ego).note(9.0) == f"The ego speed from drive.gpx {covered}"
+    assert SpeedSource().note(9.0) == ""
