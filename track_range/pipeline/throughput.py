@@ -157,8 +157,8 @@ class FrameMeter:
         return f"latency {recent['p50']:.0f} ms, p95 {recent['p95']:.0f} ms, {self.n_dropped} dropped"
 
     def captions(self) -> tuple[str, ...]:
-        """Short texts for the corner of the overlay: frame rate, latency, dropped frames."""
-        rate = () if np.isnan(self.rate_hz) else (f"{self.rate_hz:.1f} fps",)
+        """Short texts for the corner of the overlay: rate of processing, latency, dropped frames."""
+        rate = () if np.isnan(self.rate_hz) else (f"processed at {self.rate_hz:.1f} fps",)
         if not self.latency_s:
             return rate
         dropped = (f"{self.n_dropped} dropped",) if self.n_dropped else ()

@@ -30,7 +30,7 @@ def meter_of(times_s: list[float], frames: list[tuple[int, float]], live: Camera
 def test_rate_over_two_seconds() -> None:
     meter = meter_of([0.0, 5.0, 5.5, 6.0, 6.5], [(number, 0.1 * number) for number in range(5)])
     assert meter.rate_hz == 2.0
-    assert meter.captions() == ("2.0 fps",)
+    assert meter.captions() == ("processed at 2.0 fps",)
     assert meter.notes == ()
 
 
@@ -45,7 +45,7 @@ def test_one_frame_has_no_rate() -> None:
 def test_live_run_reports_latency_and_drops() -> None:
     """Frames 5, 6 and 9 of 100.0, 100.1 and 100.4 s; results at 100.2, 100.35 and 100.45 s."""
     meter = meter_of([100.2, 100.35, 100.45], [(5, 0.0), (6, 0.1), (9, 0.4)], Camera(100.0))
-    assert meter.captions() == ("8.0 fps", "latency 50 ms", "2 dropped")
+    assert meter.captions() == ("processed at 8.0 fps", "latency 50 ms", "2 dropped")
     (note,) = meter.notes
     assert "200 ms" in note
     assert "250 ms" in note

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from track_range.cli.console import console, print_line, print_notes
 from track_range.cli.parameters import command
+from track_range.foundation.files.input_files import counted
 from track_range.run.export.export import ExportSettings, export
 
 
 def _export(settings: ExportSettings) -> None:
     exported = export(settings)
     print_notes(console, exported.notes)
-    images = f" and {exported.n_images} images" if settings.images else ""
-    print_line(console, f"Written: {settings.out}, {exported.n_boxes} boxes{images}")
+    images = f" and {counted(exported.n_images, 'image')}" if settings.images else ""
+    print_line(console, f"Written: {settings.out}, {counted(exported.n_boxes, 'box', 'boxes')}{images}")
 
 
 app = command(ExportSettings, _export)

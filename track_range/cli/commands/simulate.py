@@ -5,6 +5,7 @@ from functools import partial
 
 from track_range.cli.console import console, print_line
 from track_range.cli.parameters import command
+from track_range.foundation.files.input_files import counted
 from track_range.foundation.processes import one_opencv_thread
 from track_range.run.progress import step_progress
 from track_range.simulation.settings import SimulationSettings
@@ -18,7 +19,7 @@ def _simulate(settings: SimulationSettings) -> None:
     print_line(console, *simulated.notes)
     drive = simulated.drive
     if drive is None:
-        print_line(console, f"Written: {simulated.n_images} images, and {simulated.data_yaml}")
+        print_line(console, f"Written: {counted(simulated.n_images, 'image')}, and {simulated.data_yaml}")
         return
     fps = settings.fps or DEFAULT_FPS
     rate = f" --folder-fps {fps:g}" if drive.left.suffix != ".mp4" and fps != DEFAULT_FPS else ""

@@ -146,7 +146,8 @@ def geometry_sentences(summary: Summary) -> list[str]:
     sentences = [calibrations.get(str(summary.get("calibration")), "")]
     if scale := summary.get("learnt_scale"):
         sentences.append(
-            f"The baseline was estimated from the sizes of {scale['n_tracks']} tracks: {scale['baseline_m']:.2f} m at "
+            f"The baseline was estimated from the sizes of {counted(scale['n_tracks'], 'track')}: "
+            f"{scale['baseline_m']:.2f} m at "
             f"a focal length of {scale['focal_px']:.0f} px; all distances share a relative error of "
             f"{100 * scale['relative_sigma']:.0f} % (1 {tables.SIGMA})."
         )
