@@ -29,7 +29,7 @@ def score_outputs(detector: YoloDetector) -> tuple[int, ...]:
     if detector.model.score_outputs:
         return detector.model.score_outputs
     raise ModelError(
-        f"{detector.session.path}: expected a detector with separate outputs of the class scores, such as RoadNet, "
+        f"{detector.session.path}: expected a detector with separate outputs for the class scores, such as RoadNet, "
         f"found {detector.model.layout}; export it with separate outputs if its exporter can."
     )
 

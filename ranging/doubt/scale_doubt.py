@@ -97,7 +97,7 @@ class Agreement(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """Note for the user."""
+        """Note for the user on whether the drive confirms the baseline."""
         if self.sigma > SHOWN_SIGMA:
             return "The baseline cannot be checked in this drive."
         if abs(math.log(self.factor)) > 1.5 * self.sigma:

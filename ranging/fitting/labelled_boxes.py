@@ -185,7 +185,7 @@ def _listed(files: Sequence[Path], frames: Path, labels: Path) -> list[Path]:
             f"{frames}: expected names of label files of {labels}, one per line, found {quoted(missing[0])}."
         )
     if not names:
-        raise LabelFileError(f"{frames}: expected one name of a label file per line, found an empty file.")
+        raise LabelFileError(f"{frames}: expected names of label files, one per line, found an empty file.")
     listed = set(names)
     return [file for file in files if file.stem in listed]
 

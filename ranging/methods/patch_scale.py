@@ -4,7 +4,7 @@ A patch is the inner part of a box, sampled on a grid of fixed size from the lev
 as far apart as the grid's points. The template T of a track, from its key frame, is aligned with the current image I by
 the inverse compositional algorithm (Baker and Matthews, Lucas-Kanade 20 years on, IJCV 2004), with gain and offset:
 
-    I(c + t + s x) = g T((1 + ds) x + dt) + b       minimised over dt, ds, g, b with Cauchy's weights of the residuals
+    I(c + t + s x) = g T((1 + ds) x + dt) + b       minimised over dt, ds, g, b with Cauchy weights of the residuals
     s <- s / (1 + ds),   t <- t - s dt              s: width and height now / those in the key frame
 
 First only t is estimated, on the next coarser level. Points that a nearer box covers, in the key frame or now, and

@@ -1,4 +1,4 @@
-r"""Bounding box of the image of an upright cuboid on the road: the geometry behind ranging by size.
+r"""Bounding box of the projection of an upright cuboid on the road: the geometry behind ranging by size.
 
     camera o------ z            The cuboid has the yaw `yaw_rad` relative to the camera's axis; the ray through the
            |    ____            middle column of its box meets its surface at `distance_m`. Its position (x, z) is
@@ -28,7 +28,7 @@ _Pair = tuple[Floats, Floats]
 
 @dataclass(frozen=True, slots=True)
 class CuboidBox:
-    """Image of cuboids, arrays of the same shape (...)."""
+    """Projection of cuboids into the image, as arrays of the same shape (...)."""
 
     log_height: Floats  # log of the box height divided by the focal length
     log_width: Floats  # log of the box width divided by the focal length
@@ -45,11 +45,11 @@ def box_of_cuboid(
     camera_height_m: float,
     start: CuboidBox | None = None,
 ) -> CuboidBox:
-    """Image of cuboids with log sizes (height, width, length), for broadcast arrays of the other arguments.
+    """Projection of cuboids with log sizes (height, width, length), for broadcast arrays of the other arguments.
 
     `log_hwl`, (3,) or (3, ...), is of metres; `yaw_rad` is the angle between the long side and the camera's axis,
     `bearing` the tangent of the angle of the box's middle column, whose ray meets the surface at the depth
-    `distance_m`. From a `start`, the image of cuboids of similar size, fewer iterations are needed.
+    `distance_m`. From a `start`, the projection of cuboids of similar size, fewer iterations are needed.
     """
     height, width, length = np.exp(log_hwl)
     cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)

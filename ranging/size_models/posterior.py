@@ -100,7 +100,7 @@ class _Terms(NamedTuple):
 
 
 def _packed_terms(tables: ShapeTables, boxes: BoxExtents, body: IntArray, log_fraction: FloatArray) -> _Float32:
-    """(6, K M, N) the `_Terms` of all Gaussians of N boxes.
+    """(6, K * M, N) the `_Terms` of all Gaussians of N boxes.
 
     With x = log d - log_m, slopes s of the log size at the node, V = S + R and prior x ~ N(x0, 1 / p0), the log size
     relative to the node is e = s x + N(0, V). Completing the square gives one Gaussian for x:

@@ -116,6 +116,6 @@ def _fitted(terms: FloatArray, values: FloatArray, weight: FloatArray, scale: Fl
 
 
 def _weights(residual: FloatArray) -> tuple[FloatArray, float]:
-    """(N,) Tukey's weights of residuals, and their scatter."""
+    """(N,) Tukey weights of the residuals (N,), and the robust standard deviation of the residuals."""
     scatter = max(MAD_TO_SIGMA * float(median_of(np.abs(residual))), _MIN_SCATTER_PX)
     return np.clip(1 - (residual / (_TUKEY * scatter)) ** 2, 0, None) ** 2, scatter

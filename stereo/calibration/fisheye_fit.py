@@ -199,7 +199,7 @@ def solve_blocks(
 ) -> BlockSolution:
     """The local minimum that is reached from the parameters (C,) and (V, P), with `n_residuals` (V,) per view.
 
-    Levenberg and Marquardt's method for parameters of which one part is common and another belongs to one view:
+    The Levenberg-Marquardt method for parameters of which one part is common and another belongs to one view:
 
         minimise  sum over views v of |r_v(c, p_v)|^2
 

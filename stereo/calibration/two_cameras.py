@@ -204,8 +204,8 @@ def _without_moved_boards(
         if not ratios[worst] > _MOVED_RATIO:
             break
         row = used.pop(worst)
-        reason = f"board moved between the images: residual {fits[worst].rms_px:.2f} px ({alone_px[row]:.2f} px alone)"
-        rejected.append(RejectedView(pairs[row][0].name, reason))
+        figures = f"{fits[worst].rms_px:.2f} px ({alone_px[row]:.2f} px if each camera is fitted alone)"
+        rejected.append(RejectedView(pairs[row][0].name, f"the board moved between the images: residual {figures}"))
     return [pairs[i] for i in used], tuple(rejected)
 
 

@@ -31,7 +31,7 @@ _Matrix = cv2.typing.MatLike
 # Largest rotation between the cameras, and by rectification; beyond it, hardly any of the scene is in both views.
 _MAX_ROTATION_RAD = math.radians(45.0)
 _MAX_ZOOM = 4.0  # largest factor between the focal lengths before and after rectification in a plausible calibration
-_FOCAL_SCATTER = 0.1  # relative difference of focal lengths of unequal cameras; equal lenses differ by 1 or 2 %
+_FOCAL_SCATTER = 0.1  # relative difference of focal lengths of different cameras; identical lenses differ by 1 or 2 %
 _MIN_REDUCTION = 1.3  # factor by which the right image is reduced above which it is smoothed first, against aliasing
 _N_BOX_STEPS = 4  # number of fixed-point steps of `recorded_boxes`; each reduces the error about ten times
 N_OUTLINE = 8  # number of points of each edge of a box in the recorded image, where edges are curves
@@ -265,7 +265,7 @@ def stereo_rectification(
     """Bouguet's rectification of a rig (`cv2.stereoRectify`), without plausibility checks: R1, R2, P1, P2, Q.
 
     These are the rotations (3, 3) and projections (3, 4) of the rectified cameras, and Q (4, 4), as in OpenCV.
-    Unequal cameras are rectified to the field of view and the resolution of the left one: OpenCV knows one image size,
+    Different cameras are rectified to the field of view and resolution of the left one: OpenCV knows one image size,
     and would cut both images to what the narrower camera sees. Pairs with wide lenses are rectified to the left lens's
     virtual pinhole with the horizontal field of view `fov_deg`, None = the lens's up to 120 degrees.
     """
@@ -289,7 +289,7 @@ def stereo_rectification(
 
 
 def _wide_rectification(rig: StereoRig, fov_deg: float | None) -> tuple[_Matrix, _Matrix, _Matrix, _Matrix, _Matrix]:
-    """Bouguet's rotations with the left camera's virtual pinhole: wide lenses image all that the rotations need."""
+    """Bouguet's R1 to Q for the left camera's virtual pinhole, whose view wide lenses cover after the rotations."""
     camera = _ideal(rig.left, fov_deg)
     translation = rig.right_from_left[:3, 3:]
     r1, r2, *_ = cv2.stereoRectify(

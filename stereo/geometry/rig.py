@@ -58,7 +58,7 @@ class StereoRig:
 
     @classmethod
     def rectified(cls, camera: PinholeCamera, baseline_m: float) -> StereoRig:
-        """A rig of two equal, parallel cameras side by side, without distortion."""
+        """A rig of two identical, parallel cameras side by side, without distortion."""
         return cls(camera, camera, rigid_motion(np.eye(3), [-baseline_m, 0.0, 0.0]))
 
     @property
@@ -93,7 +93,7 @@ class RigAccuracy:
 
     @property
     def sentence(self) -> str:
-        """Message for the user."""
+        """Message for the user on the accuracy of the calibration."""
         return (
             f"Calibrated with a board: the focal length is known within {100 * self.focal_sigma:.2g} %, the scale of "
             f"distances within {100 * self.scale_sigma:.2g} %, which is part of the sigma of every distance."
@@ -112,7 +112,7 @@ class Mounting:
 
     @property
     def sentence(self) -> str:
-        """Message for the user."""
+        """Message for the user on the focal length, height and pitch, with their standard deviations."""
         height, pitch = self.camera_height_m, self.pitch_deg
         return (
             f"Calibrated on the road: the focal length is known within {100 * self.focal_sigma:.1f} %, which is part "

@@ -136,8 +136,8 @@ class PatchMatcher:
     ) -> PatchMatches:
         """See `BoxMatcher.match`; images are rectified and of equal size; boxes may be NaN or outside the image.
 
-        Without a prior, or with a doubtful match near it, the range by size or the full range is searched. Only the
-        pixels of the right image that the boxes need are read. Raises ValueError if the images differ in size.
+        Without a prior or a clear match near it, the disparities near that of the size `by_size`, then all disparities
+        are searched. Only the needed pixels of the right image are read. ValueError: the images differ in size.
         """
         if left.shape[:2] != right.shape[:2]:
             raise ValueError(f"left and right: expected equal sizes, got {left.shape[:2]} and {right.shape[:2]}")

@@ -206,6 +206,6 @@ def window_sums(values: FloatArray32, cell_hw: tuple[int, int]) -> FloatArray32:
 
 @lru_cache
 def _window_matrix(cell: int) -> FloatArray32:
-    """(7, 8 cell) 1 = the pixel belongs to the window, along one axis."""
+    """(7, 8 * cell) masks of the windows along one axis: 1 = the pixel belongs to the window."""
     first, pixel = cell * np.arange(N_SIDE)[:, None], np.arange(N_CELLS * cell)
     return np.asarray((pixel >= first) & (pixel < first + 2 * cell), np.float32)

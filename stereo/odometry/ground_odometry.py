@@ -297,7 +297,7 @@ def _vertex(score: FloatArray, best: int) -> float:
 
 
 def _sampled(image: Image, points_px: FloatArray, hw: tuple[int, int]) -> FloatArray32:
-    """(H, W) grey levels at points (H W, 2); the edge is repeated outside the image."""
+    """(H, W) grey levels at points (H * W, 2); the edge is repeated outside the image."""
     maps = points_px.astype(np.float32).reshape(*hw, 2)
     sampled = cv2.remap(image, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(sampled, np.float32)

@@ -4,7 +4,7 @@ A static point has the ray p before and p' now, and moves on its epipolar line:
 
     p'^T [t]x R p = 0        R, t: rotation and direction of the translation, now from before
 
-Both are fitted to corners outside the boxes of road users by Gauss-Newton on Sampson's distance with Tukey weights
+Both are fitted to corners outside the boxes of road users by Gauss-Newton on the Sampson distance with Tukey weights
 (Hartley and Zisserman, 2004, section 11.4.3). Yaw and a sideways t move distant points alike. Near points separate
 them, but their surroundings deform as they approach, which increases errors of the flow: their weight is lower, and t
 is a random walk, so that its last estimate is the prior of the next one. Corners on edges are left out: a lane line in

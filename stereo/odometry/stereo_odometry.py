@@ -10,7 +10,7 @@ r"""StereoOdometry: motion of a rectified pair from corners with disparities, on
 2. Lucas-Kanade finds them in the next left image, from where the previous motion predicts them.
 3. The motion of a random triple that most corners agree with is the start (RANSAC). For a small rotation w
    a triple is a linear system, exact in t: p' (m + w x m + t rho)_z = (m + w x m + t rho)_xy.
-4. Gauss-Newton minimises the reprojection errors, weighted by Tukey's function and the inverse of their variance
+4. Gauss-Newton minimises the reprojection errors, weighted by the Tukey function and the inverse of their variance
    noise^2 + disparity_noise^2 |d p' / d d|^2, so that uncertain depths have little weight.
 
 The static scene is assumed to have the most corners outside the boxes.

@@ -101,7 +101,7 @@ def _read_vins(text: str, path: Path, *, is_pair: bool) -> RigCalibration:
 
 
 def _settings_of(path: Path) -> tuple[Path, dict[str, Any]] | None:
-    """The settings of a pair beside a camera's file that name this file or another file of the camera; else None."""
+    """(path, content) of a pair's settings in a camera file's folder; None unless they name it or it has a partner."""
     for file in files_of(path.absolute().parent):
         with contextlib.suppress(RigError):  # of files of other kinds
             text = read_text(file, RigError, "settings of VINS") if file.suffix in (".yaml", ".yml") else ""

@@ -65,7 +65,7 @@ COMMANDS = {
     ),
     "view": Lazy(
         "track_range.cli.commands.view",
-        "Show a finished run in the viewer of rerun.",
+        "Show a finished run in the Rerun viewer.",
         "Shows video, bird's-eye view and plots. Writes run.rrd to the folder of the run unless the file exists. "
         "Requires the extra rerun.",
         ("track-range view drive-1", "track-range view drive-1 --web"),

@@ -18,6 +18,6 @@ def check_schema_version(path: object, metadata: Mapping[bytes, bytes] | None, e
     schema_version = schema_version_of(metadata)
     if schema_version is not None and schema_version > SCHEMA_VERSION:
         raise error(
-            f"{path}: expected schema_version {SCHEMA_VERSION} or earlier, found {schema_version}; a newer track-range "
-            "wrote this file, update with `pip install --upgrade track-range`."
+            f"{path}: expected schema_version {SCHEMA_VERSION} or earlier, found {schema_version}, of a newer "
+            "track-range; update with `pip install --upgrade track-range`."
         )

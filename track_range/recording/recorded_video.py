@@ -135,6 +135,6 @@ class RecordedVideo(ABC):
             part = f" to {until_s:.2f} s" if until_s < end_s else ""
             end = "" if math.isinf(end_s) else f" and ends at {end_s:.2f} s"
             raise VideoError(
-                f"{self.path}: there is no frame from {from_s:.2f} s{part}; the video starts at "
-                f"{self.first_time_s:.2f} s{end}, choose another start or duration."
+                f"{self.path}: there is no frame from {from_s:.2f} s{part}; choose another start or duration (the "
+                f"video starts at {self.first_time_s:.2f} s{end})."
             )

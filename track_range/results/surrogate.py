@@ -33,7 +33,7 @@ COLUMNS = (  # keys of a row, in order
 def surrogate_rows(source: Path) -> list[dict[str, Any]]:
     """Measures of each road user of a run's folder, or of the clips of a fleet's local folder, in the order of tracks.
 
-    Values: `clip` ("" of a run), `track_id`, `class`, `state` (the most frequent), `from_s`, `to_s`, `lead_s`, the
+    Values: `clip` ("" for a run), `track_id`, `class`, `state` (the most frequent), `from_s`, `to_s`, `lead_s`, the
     `EXTREMES` with their moments, `tet_s`, `tit_s2` and, with poses.csv, `pet_s`; None = unknown. OutputError: the
     folder is not the result of a run or a fleet, or its rows have no measures.
     """

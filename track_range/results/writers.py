@@ -34,7 +34,7 @@ FILES_OF_WRITERS: Mapping[str, str] = {  # of this package, for help texts
     "kitti": "kitti.txt",
     "recorded": "recorded_boxes.csv, in pixels of the video",
     "mcap": "run.mcap, for Foxglove and ROS 2",
-    "rrd": "run.rrd, for rerun",
+    "rrd": "run.rrd, for Rerun",
     "openscenario": "run.xosc, trajectories for simulators",
 }
 

@@ -104,7 +104,7 @@ def _check_anonymized(settings: RunSettings, keys: list[str], file: Path | None)
 def _error_of(
     error: ValidationError | UsageError, given: dict[str, Any], base: dict[str, Any], file: Path | None
 ) -> ConfigError:
-    """The error of invalid settings: of the file if a value in it or a contradiction within it is the reason."""
+    """The error for invalid settings; it names the file if a value or a contradiction within the file is the cause."""
     sentence = RunSettings.problem(error) if isinstance(error, ValidationError) else str(error)
     if file is None:
         return UsageError(sentence)

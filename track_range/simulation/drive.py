@@ -88,7 +88,7 @@ def write_drive(
     """Write a drive to `folder`, where files with the same names are replaced; the same seed gives the same drive.
 
     `scenario` is a name of `settings.SCENARIO_NAMES`, `seed` is for the scene, textures, sensor noise and simulated
-    detections. `rig` is a rectified pair, or equal, parallel cameras with wide lenses; None = KITTI's angle of view,
+    detections. `rig`: a rectified pair, or identical, parallel cameras with wide lenses; None = KITTI's angle of view,
     1240 x 376 px and 0.54 m. Odd image sizes grow by one, also in the rig file. `progress` is called after each frame
     with the number of finished frames and the total. Raises ValueError: less than one frame, an unknown scenario, a rig
     that is not rectified, or disparities or masks of a wide lens. Raises OutputError, VideoError: the folder or a file

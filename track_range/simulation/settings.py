@@ -79,10 +79,7 @@ class _Recording(Options):
     ] = False
     stereo_layout: Annotated[
         PackedLayout | None,
-        option(
-            "Layout of one video with the images of both cameras, both.mp4, instead of left.mp4 and right.mp4.",
-            panel=_OUTPUT,
-        ),
+        option("Video both.mp4 of both cameras in this layout, instead of left.mp4 and right.mp4.", panel=_OUTPUT),
     ] = None
     disparity: Annotated[
         bool,

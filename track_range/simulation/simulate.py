@@ -104,14 +104,14 @@ def _rig(path: Path) -> tuple[StereoRig, tuple[str, ...]]:
         parallel = StereoRig.rectified(rig.left, rig.baseline_m)
         if rig.left != rig.right or not np.allclose(rig.right_from_left, parallel.right_from_left, atol=1e-5):
             raise RigError(
-                f"{path}: expected equal, parallel cameras side by side for the simulation of wide lenses, found other "
+                f"{path}: simulating wide lenses requires two identical, parallel cameras side by side, found other "
                 "cameras; copy 'left' to 'right' and use the identity as rotation."
             )
         return with_even_size(parallel), tuple(notes)
     if not _is_nearly_rectified(rig):
         raise RigError(
-            f"{path}: expected a rectified pair (KITTI's calib.txt, or equal, parallel cameras without distortion); "
-            "give the rig of the rectified images."
+            f"{path}: expected a rectified pair (KITTI's calib.txt, or identical, parallel cameras without "
+            "distortion); give the rig of the rectified images."
         )
     rig = StereoRig.rectified(rig.left.without_distortion(), rig.baseline_m)
     even = with_even_size(rig)

@@ -164,7 +164,7 @@ class VideoWriter:
 
 
 def _i420(image: Image) -> Image:
-    """(3/2 H, W) uint8 planes Y, U, V of a BGR image extended to an even size; 8 times as fast as FFmpeg's scaler."""
+    """(1.5 * H, W) uint8 planes Y, U, V of a BGR image extended to an even size; 8 times as fast as FFmpeg's scaler."""
     height_px, width_px = image.shape[:2]
     even: npt.NDArray[Any] = image
     if height_px % 2 or width_px % 2:

@@ -193,8 +193,9 @@ def label_training_images(
     if calibration is None:
         most = max(int(np.count_nonzero(boxes.is_match)) for boxes in fitted)
         raise LabelFileError(
-            f"{data.path}: expected at least {MIN_POSITIVES} labels of a completely labelled class that the detectors "
-            f"find, to fit probabilities; found {most}; use other detectors or labels with --resume, or delete --out."
+            f"{data.path}: to fit probabilities, the detectors must find at least {MIN_POSITIVES} labels of a "
+            f"completely labelled class, but found {most}; use other detectors or labels with --resume, or delete the "
+            "--out folder."
         )
     verified = samples(pairs[len(train) :], n_detectors=len(members), is_labelled=data.is_named)
     validation = {

@@ -146,7 +146,7 @@ def _class_weight(batch: Batch, centre_px: Tensor, target: Tensor) -> Tensor:
 
 
 def _bins_loss(bins: Tensor, truth_cxcywh: Tensor, centre_px: Tensor, stride_px: Tensor) -> Tensor:
-    """(P,) distribution focal loss, mean over the sides, of P cells with the logits `bins` (P, 4 bins)."""
+    """(P,) distribution focal loss, mean over the sides, of P cells with the logits `bins` (P, 4 * bins)."""
     half = truth_cxcywh[:, 2:] / 2
     from_centre_px = truth_cxcywh[:, :2] - centre_px
     distance = torch.cat([half - from_centre_px, half + from_centre_px], 1) / stride_px[:, None]

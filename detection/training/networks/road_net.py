@@ -42,7 +42,7 @@ class RoadNet(DetectionNetwork):
         self.heads = nn.ModuleList(RoadNetHead(n, n_classes) for n in (*self.body.n_channels, top // 2))
 
     def forward(self, images: Tensor) -> list[Tensor]:
-        """Raw outputs (B, rows, columns, classes + 4 bins) of each level for images (B, 3, H, W), RGB in 0..1.
+        """Raw outputs (B, rows, columns, classes + 4 * bins) of each level for images (B, 3, H, W), RGB in 0..1.
 
         The columns are the logits of the classes, then the logits of the bins of left, top, right and bottom. H and W
         must be divisible by 32; the coarsest level has ceil(H / 64) rows.
@@ -74,7 +74,7 @@ class RoadNet(DetectionNetwork):
         return torch.cat([(grid + 0.5) * stride for grid, stride in parts]), torch.cat(sides)
 
     def exported(self, raw: Sequence[Tensor]) -> dict[str, Tensor]:
-        """Scores (B, n, C) and logits of the bins (B, n, 4 bins) of each level with n cells: PicoDet's layout.
+        """Scores (B, n, C) and logits of the bins (B, n, 4 * bins) of each level with n cells: PicoDet's layout.
 
         The boxes of the few cells with high scores are decoded outside the network, see
         `detection.yolo.distribution.decode_distributions`.
@@ -85,7 +85,7 @@ class RoadNet(DetectionNetwork):
 
 
 def split_outputs(raw: Tensor) -> tuple[Tensor, Tensor]:
-    """Logits of the classes (..., C) and distances (..., 4) in cells, from raw outputs (..., C + 4 bins)."""
+    """Logits of the classes (..., C) and distances (..., 4) in cells, from raw outputs (..., C + 4 * bins)."""
     bins = raw[..., -4 * N_BINS :].reshape(*raw.shape[:-1], 4, N_BINS)
     values = torch.arange(N_BINS, device=raw.device, dtype=raw.dtype)
     return raw[..., : -4 * N_BINS], bins.softmax(-1) @ values
@@ -113,5 +113,5 @@ class RoadNetHead(nn.Module):
             nn.init.constant_(self.scores.bias, -math.log(1 / _INITIAL_SCORE - 1))
 
     def forward(self, features: Tensor) -> Tensor:
-        """(B, classes + 4 bins, rows, columns) from features (B, n_in, rows, columns)."""
+        """(B, classes + 4 * bins, rows, columns) from features (B, n_in, rows, columns)."""
         return torch.cat([self.scores(self.score_features(features)), self.bins(self.bin_features(features))], 1)

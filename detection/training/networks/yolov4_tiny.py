@@ -35,7 +35,7 @@ class CspBlock(nn.Module):
         self.pool = nn.MaxPool2d(2, 2)
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Output (B, 2 n, H / 2, W / 2) for `x` (B, n, H, W), and features (B, n, H, W) for the neck."""
+        """Output (B, 2 * n, H / 2, W / 2) for `x` (B, n, H, W), and features (B, n, H, W) for the neck."""
         start = self.start(x)
         first = self.first(start[:, start.shape[1] // 2 :])
         joined = self.join(torch.cat([self.second(first), first], 1))

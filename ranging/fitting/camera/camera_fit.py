@@ -12,8 +12,8 @@ Residuals, each divided by its standard deviation (u, v: column and row from the
     known height or width S           v - y0 - r u - H s / S           s = h or w
     the same with a known distance    log(s Z / (f S))
     lane of width W in a row          v - y0 - r u - H w / W
-    horizon in a row                  v - y0                           lane lines, direction of travel; Cauchy's loss
-    other road users                  v - y0 - r u - H e^-b f / D'     Cauchy's loss; D' = D(f) - offset with the last f
+    horizon in a row                  v - y0                           lane lines, direction of travel; Cauchy loss
+    other road users                  v - y0 - r u - H e^-b f / D'     Cauchy loss; D' = D(f) - offset with the last f
     priors                            f (focal_evidence), H, y0, r, b
 
 Sizes with contact points give H and y0, but not f: scaling f and all distances alike leaves all images of flat objects
@@ -54,7 +54,7 @@ _SHAPE_SIGMA = 0.015  # of the ratio of a box to a known height or width: object
 _PITCHING_RAD = 0.004  # standard deviation of pitch and slope of the road at one time about those of the drive
 _KERB_M = 0.1  # standard deviation of the height of contact points above the road
 _VIEWS_PER_TRACK = 1.5  # number of independent views that the views of one object count as at most
-_CAUCHY = 2.0  # scale of Cauchy's loss of other road users and horizon rows (kerbs taken for lane lines), in sigmas
+_CAUCHY = 2.0  # scale of the Cauchy loss of other road users and horizon rows (kerbs taken for lane lines), in sigmas
 _STANDS = np.isin(SIZE_CLASSES, ("person", "bicycle", "car", "motorcycle", "bus", "truck", "van"))
 """(size classes,) whether objects of the class are on the road."""
 
@@ -351,7 +351,7 @@ class _Terms:
 
 
 def _robust(residual: FloatArray) -> FloatArray:
-    """(N,) values whose squares are Cauchy's loss of the residuals (N,), in standard deviations."""
+    """(N,) values whose squares are the Cauchy loss of the residuals (N,), in standard deviations."""
     return np.asarray(_CAUCHY * np.sqrt(np.log1p((residual / _CAUCHY) ** 2)) * np.sign(residual))
 
 

@@ -133,7 +133,7 @@ def test_detectors_that_find_no_labels(drawn, tmp_path, cli):
     out = tmp_path / "soft"
     status, _, complaint = pseudo_label(cli, drawn, out, "--model", wrong)
     assert (status, "found 0" in complaint, "other detectors" in complaint) == (1, True, True)
-    assert ("delete --out" in complaint, len(complaint) <= MAX_MESSAGE) == (True, True)
+    assert ("delete the --out folder" in complaint, len(complaint) <= MAX_MESSAGE) == (True, True)
     status, _, complaint = pseudo_label(cli, drawn, out, "--model", right)
     assert (status, "delete the folder" in complaint) == (1, True)
     assert pseudo_label(cli, drawn, out, "--model", right, "--resume")[0] == 0

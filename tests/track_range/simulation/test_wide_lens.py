@@ -97,7 +97,7 @@ def test_files_of_a_drive(drive):
 
 def test_what_is_refused(tmp_path):
     other = replace(LENS, fx_px=140.0)
-    with pytest.raises(ValueError, match="equal"):
+    with pytest.raises(ValueError, match="identical"):
         WideLens.of(StereoRig(LENS, other, RIG.right_from_left))
     with pytest.raises(ValueError, match="wide"):
         write_drive(tmp_path, rig=RIG, options=DriveOptions(disparity=True))

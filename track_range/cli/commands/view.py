@@ -1,4 +1,4 @@
-"""`track-range view`: a finished run in the viewer of rerun."""
+"""`track-range view`: a finished run in the Rerun viewer."""
 
 import os
 import subprocess
@@ -37,12 +37,12 @@ def _view(options: ViewOptions) -> None:
             viewer_command(path, is_web=options.web), env={**os.environ, **VIEWER_VARIABLES}, check=False
         ).returncode
     except OSError as error:
-        raise ViewError(f"{path}: the viewer of rerun cannot be started ({error}).") from error
+        raise ViewError(f"{path}: the Rerun viewer cannot be started ({error}).") from error
     except KeyboardInterrupt:
         return
     if status > 0:
         raise ViewError(
-            f"{path}: the viewer of rerun ended with status {status}; without a display, use track-range view --web."
+            f"{path}: the Rerun viewer ended with status {status}; without a display, use track-range view --web."
         )
 
 

@@ -119,7 +119,7 @@ class _Inputs:
     last_s: float = math.inf  # time after which there are no events: `ends_s`, or that of the last row
 
     def columns(self, path: Path | None) -> Columns | None:
-        """Rows of the run; None without a file, or if the file beside the events cannot be read."""
+        """Rows of the run; None without a file, or if the file in the folder of the events cannot be read."""
         if path is not None:
             return read_run_rows(path, self.notes)
         beside = rows_file(self.folder)
@@ -128,7 +128,7 @@ class _Inputs:
         try:
             return read_run_rows(beside, self.notes)
         except OutputError as error:
-            self.notes.append(f"The tracks beside the events cannot be read ({str(error).rstrip('.')}).")
+            self.notes.append(f"The tracks in the folder of the events cannot be read ({str(error).rstrip('.')}).")
             return None
 
     def boxes(self, path: Path | None) -> Truth | None:

@@ -24,20 +24,20 @@ class EventEvaluationSettings(Options):
         ),
     ]
     tracks: Annotated[
-        Path | None, option("Tracks of the run, tracks.csv or tracks.parquet (default: the tracks beside the events).")
+        Path | None, option("Tracks of the run (default: tracks.csv or tracks.parquet in the folder of the events).")
     ] = None
     boxes: Annotated[
         Path | None,
         option(
             "Labels of the objects in every frame, with the ids of the contacts: a CSV with the columns of truth.csv, "
-            "KITTI, COCO, CVAT or YOLO (default: truth.csv or truth.txt beside the contacts)."
+            "KITTI, COCO, CVAT or YOLO (default: truth.csv or truth.txt in the folder of the contacts)."
         ),
     ] = None
     hours: Annotated[
         float | None,
         option(
             "Duration of the video in hours, for the rate of false alarms (default: from summary.json or the tracks "
-            "beside the events).",
+            "in the folder of the events).",
             metavar="H",
             gt=0,
             le=1e6,

@@ -39,7 +39,7 @@ def _truth(settings: MotionEvaluationSettings) -> LabelledMotion:
     if settings.data == "nuscenes":
         return nuscenes_motion(settings.labels, noise_px=settings.noise_px, seed=settings.seed)
     if settings.calib is None or settings.poses is None:
-        raise UsageError("expected the folders --calib and --poses of the labels; give both.")
+        raise UsageError("expected --calib and --poses, the folders of calibrations and poses; give both.")
     return kitti_motion(
         settings.labels,
         settings.calib,

@@ -116,8 +116,8 @@ def _truth_table(path: Path, form: str | None, notes: list[str]) -> BoxTable:
     notes += [*table.notes, *other_labels_note(table, path)]
     if n_regions := int(table.is_region.sum()):
         notes.append(
-            f"{path.name}: ignored {counted(n_regions, 'region')} of the ground truth; tracks in these regions count "
-            "as false positives."
+            f"{path.name}: did not apply {counted(n_regions, 'ignore region')} of the ground truth; tracks in such "
+            "regions count as false positives."
         )
     return table
 

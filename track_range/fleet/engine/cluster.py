@@ -146,8 +146,8 @@ def _init(**options: Any) -> None:
         if options["address"] != "local":
             raise _no_cluster(options["address"], reason) from error
         raise FleetError(
-            f"expected Ray to start on this machine, found two starts that failed ({reason}); repeat the command when "
-            "the machine is less busy, or process each clip with `track-range run`, without Ray."
+            f"Ray failed to start on this machine in two attempts ({reason}); repeat the command when the "
+            "machine is less busy, or process each clip with `track-range run`, without Ray."
         ) from error
 
 

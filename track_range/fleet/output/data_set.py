@@ -252,13 +252,13 @@ def _compiled(out: Location) -> pa.Table:
         table.column("clip"), table.column("settings_hash")
     except (ArrowException, OSError, ValueError, LookupError) as error:
         raise FleetError(
-            f"{location}: expected the table of a fleet, found another or a damaged file ({shortened(str(error))}); "
+            f"{location}: expected the table of a fleet, found a different or damaged file ({shortened(str(error))}); "
             "choose another --out, or remove the file to process all clips again."
         ) from error
     if version > SCHEMA_VERSION:
         raise FleetError(
-            f"{location}: expected version {SCHEMA_VERSION} or earlier, found {version}; a newer track-range wrote "
-            "this file, update with `pip install --upgrade track-range`."
+            f"{location}: expected version {SCHEMA_VERSION} or earlier, found {version}, of a newer track-range; "
+            "update with `pip install --upgrade track-range`."
         )
     return table
 

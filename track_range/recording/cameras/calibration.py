@@ -112,7 +112,7 @@ class RecordingCalibration:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Messages for the user."""
+        """Messages for the user on the calibration, its alignment and the focal length."""
         alignment = () if self.alignment is None else self.alignment.notes
         focal = () if self.focal is None else self._focal_notes(self.focal)
         return (*self.search_notes, *self.file_notes, *self._pixel_notes(), *alignment, *focal)
@@ -326,8 +326,8 @@ def _without_file(
     if sizes_px[0] != sizes_px[-1]:
         (lw, lh), (rw, rh) = sizes_px
         raise VideoError(
-            f"{videos[1].path}: expected {lw}x{lh} px like {videos[0].path}, got {rw}x{rh}; unequal cameras need a "
-            "--rig with both cameras."
+            f"{videos[1].path}: expected {lw}x{lh} px like {videos[0].path}, got {rw}x{rh}; different cameras "
+            "require --rig with the calibration of both."
         )
     stored = camera.resized(sizes_px[0])
     others = () if video.pixel_aspect is not None else image_size.analogue_alternatives(sizes_px[0])

@@ -88,7 +88,7 @@ class DecodeLog:
 
     @property
     def notes(self) -> list[str]:
-        """Messages for the user."""
+        """Messages for the user on damaged frames and times, without the file's name."""
         notes = []
         if self.stopped_by:
             notes.append(

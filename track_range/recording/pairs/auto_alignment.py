@@ -63,7 +63,7 @@ class PairAlignment:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Messages for the user."""
+        """Messages for the user on the alignment and the fit of the rig."""
         health = self.health
         if health is None:
             return (self.applied.sentence(),)

@@ -59,7 +59,7 @@ class FoundLayout:
     source: str
 
     def sentence(self, name: str) -> str:
-        """The note for the user."""
+        """Note for the user on the layout of the video `name`, and the option for another one."""
         shown = f"{_SHOWN[self.layout]} ({self.source})"
         return f"{name}: the images of the two cameras are {shown}; --stereo-layout chooses another layout."
 

@@ -61,9 +61,9 @@ def speed_from_positions(
 ) -> TelemetryTrack | None:
     """Telemetry with the speed and course between two positions, at the middle of the step.
 
-    The (N,) times are of the clock `clock`, `utc_s` are the dates and times; NaN = unknown. Rounded positions are
-    compared over longer steps, and the rest of their error is in the standard deviation. None = fewer than two
-    positions.
+    `time_s` (N,) are times by the clock `clock`, `utc_s` (N,) dates and times in seconds since 1970, NaN = unknown.
+    Rounded positions are compared over longer steps, and the standard deviation contains the remaining error of their
+    rounding. None = fewer than two positions.
     """
     is_known = has_position(latitude_deg, longitude_deg) & np.isfinite(time_s)
     known = np.flatnonzero(is_known & (np.abs(latitude_deg) <= 90) & (np.abs(longitude_deg) <= 360))

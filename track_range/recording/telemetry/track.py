@@ -33,7 +33,7 @@ class TelemetryTrack:
     A sample without a fix stays in the track, with NaN as speed, course and position.
     """
 
-    time_s: FloatArray  # (N,) finite times in seconds, of the clock `clock`
+    time_s: FloatArray  # (N,) finite times in seconds, by the clock `clock`
     speed_mps: FloatArray  # (N,) horizontal speed, >= 0; NaN = no fix
     source: str  # origin of the samples, for notes, such as "GoPro GPMF" or "drive.gpx"
     clock: Clock

@@ -35,14 +35,14 @@ class Event:
     class_name: str  # road class of the object
     min_distance_m: float  # smallest distance of the object
     min_distance_sigma_m: float  # standard deviation of that distance
-    min_ttc_s: float  # smallest time to collision of the front, `SafetyMeasures.ttc_front_s`
+    min_ttc_s: float  # smallest time to collision with the front, `SafetyMeasures.ttc_front_s`
     closing_mps: float  # largest closing speed
     ego_mps: float  # speed of the ego vehicle at the peak
     probability: float  # largest probability of contact, 0..1
     reason: str  # what happened in one sentence
     headway_s: float  # smallest headway, gap / ego speed
     scale_in_doubt: int = 0  # 1 = what the distances follow from contradicted the drive at the peak; 0 = not
-    gap_m: float = math.nan  # smallest gap to the front of the ego vehicle
+    gap_m: float = math.nan  # smallest distance from the front of the ego vehicle
     drac_mps2: float = math.nan  # largest required deceleration
     mdrac_mps2: float = math.nan  # the same after the reaction time
     tet_s: float = math.nan  # time exposed below `TTC_LIMIT_S`

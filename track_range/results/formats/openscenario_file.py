@@ -1,4 +1,4 @@
-"""run.xosc: ASAM OpenSCENARIO 1.2 with the trajectories of the camera's vehicle and of the tracks, without a road.
+"""run.xosc: ASAM OpenSCENARIO 1.2 with the trajectories of the ego vehicle and of the tracks, without a road.
 
 Positions are in the frame `map`. The reference point of the ego vehicle is the camera, the reference point of an object
 is the middle of a box of nominal size behind its visible side; parked objects stay at the median of their positions.

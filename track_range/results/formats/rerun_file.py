@@ -1,4 +1,4 @@
-"""run.rrd: the tracks of a run for rerun, with a blueprint: video, bird's eye, 3-D scene and plots.
+"""run.rrd: the tracks of a run for Rerun, with a blueprint: video, bird's eye, 3-D scene and plots.
 
     camera/image/video           overlay.mp4, logged at the end; H.264
     camera/image/boxes           boxes in the image
@@ -154,7 +154,7 @@ class RerunWriter:
 
         boxes = rr.Boxes2D(
             array=np.array([shown.xyxy_px for shown in objects]).reshape(-1, 4)
-            + 0.5,  # rerun's centre of the first pixel
+            + 0.5,  # Rerun's centre of the first pixel
             array_format=rr.Box2DFormat.XYXY,
             colors=[_rgba(shown) for shown in objects],
             labels=[shown.label for shown in objects],

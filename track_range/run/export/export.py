@@ -73,7 +73,7 @@ class ExportSettings(Options):
     ] = False
     video: Annotated[
         Path | None,
-        option("Video or folder of images of a label file, for its image size and --images.", metavar="VIDEO|DIR"),
+        option("Video or image folder of a label file, for the image size and for --images.", metavar="VIDEO|DIR"),
     ] = None
     first_frame: Annotated[
         int, option("Number of the video's first frame in a label file.", metavar="N", ge=0, le=1_000_000)
@@ -112,7 +112,7 @@ def _check(settings: ExportSettings, run: RunFolder | None) -> None:
     if settings.images and settings.to != "yolo":
         raise UsageError("--images: expected --to yolo; other formats have no folder for images.")
     if run is not None and (settings.video is not None or settings.first_frame):
-        raise UsageError("--video and --first-frame: expected labels as input; a run has its video and frame numbers.")
+        raise UsageError("--video and --first-frame: expected labels, found a run, which states its video and frames.")
     if settings.images and run is not None and run.settings.get("anonymize"):
         raise UsageError("--images: this run was anonymized, but these images would not be anonymized.")
     if settings.images and run is not None and run.summary.get("frames_dropped", run.settings.get("realtime")):

@@ -82,7 +82,7 @@ def write_png(path: Path, image: npt.NDArray[np.uint8] | npt.NDArray[np.uint16])
 
 
 def disparity_map(inverse_depth: FloatArray, rig: StereoRig) -> npt.NDArray[np.uint16]:
-    """(H, W) disparities as in KITTI: 256 d, 0 for sky, edges and d >= 256 px; `inverse_depth` (2 H, 2 W) in 1/m."""
+    """(H, W) KITTI's disparities: 256 d, 0 for sky, edges and d >= 256 px; `inverse_depth` (2 * H, 2 * W) in 1/m."""
     height, width = inverse_depth.shape
     samples = inverse_depth.reshape(height // 2, 2, width // 2, 2) * (rig.left.fx_px * rig.baseline_m)
     is_smooth = samples.max(axis=(1, 3)) - samples.min(axis=(1, 3)) <= EDGE_PX
@@ -97,7 +97,7 @@ def object_map(
     """(H, W) number of the object that each pixel shows: n + 1 for row n of the labels, 0 = none or beyond the 254th.
 
     A pixel shows an object if the point drawn there is within its 3-D box and above the road.
-    `inverse_depth` is (2 H, 2 W), for the samples in 1/m; `rotations` are (M, 3, 3), of all road users, from the
+    `inverse_depth` is (2 * H, 2 * W), for the samples in 1/m; `rotations` are (M, 3, 3), of all road users, from the
     object's frame to the left camera's frame.
     """
     camera, labels = rig.left, visible.labels
@@ -135,7 +135,7 @@ def write_masks(folder: Path, number: int, labels: npt.NDArray[np.uint16], scene
 
 
 def masks_of(labels: npt.NDArray[np.uint16]) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64]]:
-    """(H, W) part of each pixel, 0 to 2, and (H, W) row of its road user in the scene, from samples (2 H, 2 W)."""
+    """(H, W) part of each pixel, 0 to 2, and (H, W) row of its road user in the scene, from samples (2 * H, 2 * W)."""
     height, width = labels.shape
     samples = labels.reshape(height // 2, 2, width // 2, 2).transpose(0, 2, 1, 3).reshape(height // 2, width // 2, 4)
     label = np.sort(samples, axis=2)[:, :, 4 - MIN_SAMPLES].astype(np.int64)

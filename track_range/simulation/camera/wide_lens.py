@@ -50,10 +50,10 @@ class WideLens:
 
     @classmethod
     def of(cls, rig: StereoRig) -> WideLens:
-        """The lens of a pair of equal, parallel cameras with wide lenses."""
+        """The lens of a pair of identical, parallel cameras with wide lenses."""
         camera = rig.left
         if camera != rig.right or not np.allclose(rig.right_from_left[:3, :3], np.eye(3), atol=1e-6):
-            raise ValueError("rig: expected equal, parallel cameras with a wide lens")
+            raise ValueError("rig: expected identical, parallel cameras with a wide lens")
         pinhole = Undistorter(camera).camera
         steps = [(np.arange(side * SAMPLES) + 0.5) / SAMPLES - 0.5 for side in (camera.width_px, camera.height_px)]
         x, y = np.meshgrid(*steps)

@@ -105,12 +105,12 @@ class Renderer:
         return self._exposed(self._drawn(time_s, side), time_s, side)
 
     def render_with_depth(self, time_s: float) -> tuple[Image, FloatArray]:
-        """The left image, and the exact (2 H, 2 W) 1/z of its samples in 1/m, 0 = sky."""
+        """The left image, and the exact (2 * H, 2 * W) 1/z of its samples in 1/m, 0 = sky."""
         canvas = self._drawn(time_s, "left")
         return self._exposed(canvas, time_s, "left"), np.asarray(canvas.inverse_depth)
 
     def render_with_labels(self, time_s: float) -> tuple[Image, FloatArray, npt.NDArray[np.uint16]]:
-        """The results of `render_with_depth`, and (2 H, 2 W) the visible heads and number plates of the samples.
+        """The results of `render_with_depth`, and (2 * H, 2 * W) the visible heads and number plates of the samples.
 
         A label is 2 n + part (`faces.IdentifyingPart`) for road user n, 0 = neither head nor plate.
         """
@@ -118,7 +118,7 @@ class Renderer:
         return self._exposed(canvas, time_s, "left"), np.asarray(canvas.inverse_depth), canvas.labels
 
     def drawn_owners(self, time_s: float) -> tuple[FloatArray, npt.NDArray[np.uint16]]:
-        """(2 H, 2 W) exact 1/z of the left image's samples in 1/m, and the body that each of them shows.
+        """(2 * H, 2 * W) exact 1/z of the left image's samples in 1/m, and the body that each of them shows.
 
         n + 1 is row n of the road users, followed by the obstacles; 0 = street or sky.
         """
@@ -126,7 +126,7 @@ class Renderer:
         return np.asarray(canvas.inverse_depth, np.float64), canvas.labels
 
     def silhouette(self, time_s: float, row: int) -> FloatArray:
-        """(2 H, 2 W) exact 1/z in 1/m of the road user in row `row` alone in the left image, 0 elsewhere."""
+        """(2 * H, 2 * W) exact 1/z in 1/m of the road user in row `row` alone in the left image, 0 elsewhere."""
         canvas = Canvas(self._cameras["left"], self._store)
         poses = self.scene.location_m(time_s), self.scene.rotations(time_s)
         self._solids.draw(canvas, np.array([row]), poses, repeat(True))

@@ -53,9 +53,9 @@ class LiveView:
         self.page.close()
 
     def begin(self, draw: Callable[[FrameResult], Image], *, video: str | None = None) -> str:
-        """Set the function that draws results, called from one thread at a time; returns a message for the user.
+        """Set `draw`, which draws results, called by one thread at a time; returns a message with the page's address.
 
-        `video` is the recording of one camera that known distances can calibrate; None = another.
+        `video` is the name of a one-camera recording that known distances can calibrate; None = there is none.
         """
         self._picture, self._video = draw, video
         if self._opens_browser and has_screen() and webbrowser.open(self.page.url):

@@ -261,5 +261,5 @@ class StackedPicture:
         self._overlay, self._disparity = overlay, DisparityPicture(rig)
 
     def draw(self, result: FrameResult) -> Image:
-        """Overlay above disparities, (2 H, W, 3) uint8 BGR."""
+        """Overlay above disparities, (2 * H, W, 3) uint8 BGR."""
         return np.vstack([self._overlay.draw(result), self._disparity.draw_marked(result)])

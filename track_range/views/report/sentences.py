@@ -104,16 +104,14 @@ def _collision_headline(columns: Columns, users: Sequence[Mapping[str, Any]]) ->
     known = [user for user in users if user["min_ttc_front_s"] is not None]
     if known:
         user = min(known, key=lambda one: one["min_ttc_front_s"])
-        figure, words = (
-            f"{user['min_ttc_front_s']:.1f} s",
-            "shortest time to collision with the front of the camera's vehicle",
-        )
+        words = "shortest time to collision with the front of the ego vehicle"
+        figure = f"{user['min_ttc_front_s']:.1f} s"
         return _user_moment(user, "min_ttc_front_s", figure, words)
     is_user = np.isin(columns["track_id"], [user["track_id"] for user in users])
     probability = np.where(is_user, column(columns, "contact_probability"), np.nan)
     row = int(np.nanargmax(probability)) if np.isfinite(probability).any() else -1
     if row < 0 or probability[row] < _MIN_PROBABILITY:
-        return _headline("No collision course", "no road user approached the path of the camera's vehicle")
+        return _headline("No collision course", "no road user approached the path of the ego vehicle")
     time_s, name = float(columns["time_s"][row]), f"{columns['class'][row]} {columns['track_id'][row]:.0f}"
     words = f"largest probability of contact: {name} at {time_words(time_s)}"
     return _headline(f"{100 * probability[row]:.0f} %", words, time_s)

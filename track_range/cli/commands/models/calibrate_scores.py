@@ -35,7 +35,7 @@ class CalibrateScoresOptions(Options):
     model: Annotated[
         str,
         option(
-            "Detector with separate outputs of the class scores (RoadNet, NanoDet, PicoDet): an ONNX file, or a name "
+            "Detector with separate outputs for the class scores (RoadNet, NanoDet, PicoDet): an ONNX file, or a name "
             "from `track-range models list`.",
             metavar="FILE|NAME",
             is_argument=True,

@@ -69,7 +69,7 @@ def read_sidecar(path: Path, video: str, duration_s: float) -> TelemetryTrack | 
 _KINDS = (  # files without telemetry that can be read: pattern of the name, and what it is
     (
         r"event\.json$",
-        "Tesla's event.json, which states one position and no speed; videos of 2025 and later have the speed",
+        "Tesla's event.json, which states one position and no speed; videos from 2025 on contain the speed",
     ),
     (r"[rq]log(\.bz2|\.zst)?$", "a log of openpilot; give the folder processed_log of comma2k19, or its speeds as CSV"),
     (r"\.(mf4|mdf|blf|asc|dbc)$", "a log of a CAN bus; export the speed as CSV with its unit in the heading"),

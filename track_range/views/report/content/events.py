@@ -54,7 +54,7 @@ def measurements(event: Event) -> list[str]:
             (event.peak_headway_s, f"headway {event.peak_headway_s:.1f} s"),
             (event.ego_mps, f"ego {3.6 * event.ego_mps:.0f} km/h"),
             (event.peak_probability, f"contact {100 * event.peak_probability:.0f} %"),
-            (event.gap_m, f"smallest gap to the front {event.gap_m:.1f} m"),
+            (event.gap_m, f"smallest gap from the front bumper {event.gap_m:.1f} m"),
             (event.drac_mps2, f"required deceleration up to {event.drac_mps2:.1f} m/s²"),
             (event.pet_s, f"post-encroachment time {event.pet_s:.1f} s"),
         )

@@ -53,11 +53,11 @@ def box_columns(columns: Columns, summary: Mapping[str, Any]) -> dict[str, Float
 def road_columns(columns: Columns) -> dict[str, FloatArray]:
     """Additional columns of rows with positions: (N,) each, NaN = unknown; none if the camera cannot be recovered.
 
-    They are in m and s, and have no names NAME_m, which are distances of methods.
+    They are in m and s; their names do not end in `_m`, since columns NAME_m are the distances of methods.
 
     Keys: `road_x`, position to the right of the camera; `box_width`, width of the box; and where the time to collision
     `shown_ttc` is at most `COURSE_S`: `passing` and `passing_sigma`, lateral offset of the object at that time. It is
-    relative to the ego path where the rows have `path_offset_m` of the warning, else to the camera's axis.
+    relative to the ego path if the rows contain values of `path_offset_m`, else to the camera's axis.
     """
     camera = camera_of_rows(columns)
     if camera is None:
