@@ -86,10 +86,7 @@ class EgoSpeed:
         return math.hypot(self.speed_sigma_mps, step_mps / step_s * self.time_sigma_s)
 
     def note(self, last_s: float, subject: str = "") -> str | None:
-        """Note for the user on a video with its last frame at `last_s`; None if the samples cover all of the video.
-
-        `subject` names the speed; "" = the speed with its source.
-        """
+        """Note for the user on a video with its last frame at `last_s`; None if the samples cover all of the video."""
         first_known_s, last_known_s = float(self.time_s[0]), float(self.time_s[-1])
         if np.isneginf(first_known_s) or (first_known_s - _EDGE_S <= 0 and last_s <= last_known_s + _EDGE_S):
             return None

@@ -81,10 +81,8 @@ def _calibrate_on_road(settings: CalibrationSettings) -> None:
         return lambda frame: network.detect(frame.left)
 
     calibration = calibrate_on_road(settings, open_detect, partial(step_progress, console))
-    print_line(
-        console,
-        f"{counted(calibration.n_frames, 'frame')} of the video, {counted(calibration.by_shape.n_tracks, 'vehicle')}.",
-    )
+    frames, vehicles = counted(calibration.n_frames, "frame"), counted(calibration.by_shape.n_tracks, "vehicle")
+    print_line(console, f"{frames} of the video, {vehicles}.")
     residuals = calibration.fit.residuals
     if residuals:
         columns = [
