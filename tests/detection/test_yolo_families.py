@@ -204,7 +204,7 @@ def test_invalid_sidecar(tmp_path, text, key_word):
         ("10,14 23 / 1,2 3,4", "--anchors"),
         ("10,14 23,-4 5,5 / 1,2 3,4 5,5", "--anchors"),
         ("a,b c,d e,f / 1,2 3,4 5,5", "--anchors"),
-        ("10,14 / 23,27", r"m\.onnx: 70 classes"),
+        ("10,14 / 23,27", r"m\.onnx: the 70 classes"),
         ("/", "--anchors"),
     ],
 )

@@ -317,7 +317,7 @@ def test_list_of_cameras(tmp_path):
 
 def test_wide_baselines_are_noted(tmp_path):
     notes = load_calibration(storage(tmp_path / "a.yml", values(NAMES[0], T * 20)))[1]
-    assert any("squares of the board" in note for note in notes)
+    assert any("wide baseline: if T counts squares" in note for note in notes)
 
 
 def test_reprojection_matrix_alone(tmp_path):

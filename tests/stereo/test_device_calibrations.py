@@ -100,7 +100,7 @@ def test_oak(tmp_path):
     rig, notes = load_rig(path, size_px=(1280, 800))
     assert (rig.left.fx_px, rig.right.fx_px, len(rig.left.distortion)) == (800, 810, 14)
     assert rig.right_from_left[:3, 3] == pytest.approx([-0.075, 0, 0])  # -3.75 - 3.75 cm by way of the colour camera
-    assert "0.0750 m by its calibrated" in notes[0]
+    assert "0.0750 m from its calibrated" in notes[0]
     assert "0.09 m" in notes[0]
     rig, notes = load_rig(path, size_px=(640, 360))
     assert (rig.left.fx_px, rig.left.cy_px) == (400, (400 - 40 + 0.5) / 2 - 0.5)  # 40 of 800 rows, then half the size

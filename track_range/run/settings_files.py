@@ -19,7 +19,6 @@ from track_range.foundation.files.structured_text import read_yaml, yaml_text
 from track_range.foundation.options import Options, is_file, option_of, value_type
 from track_range.foundation.schema_version import SCHEMA_VERSION
 from track_range.foundation.validation import first_problem
-from track_range.ranging.registry import methods as all_methods, origins
 from track_range.recording.live.address import LiveAddress, live_address
 from track_range.recording.names import VideoName, files_of
 from track_range.results.provenance import settings_hash
@@ -128,7 +127,9 @@ def read_settings(file: Path) -> dict[str, Any]:
         raise ConfigError(f"{file}: expected the settings.yaml of a run, with the key 'track_range_settings: 1'.")
     run, methods = document.get("run"), document.get("methods")
     for name, origin in methods.items() if isinstance(methods, dict) else ():
-        if name not in [method.name for method in all_methods()]:
+        from track_range.ranging.registry import methods as registered
+
+        if name not in [method.name for method in registered()]:
             raise ConfigError(
                 f"{file}: expected the ranging method {name!r} ({origin}), but it is not registered; install its "
                 "package, register it before the run, or delete it from the section 'methods'."
@@ -143,6 +144,8 @@ def save_settings(settings: RunSettings, path: Path, *, detected: dict[str, Any]
 
     `methods` are the origins of the ranging methods that are not built in.
     """
+    from track_range.ranging.registry import origins  # imports numpy, which --help does not need
+
     run, methods = absolute_settings(settings), origins()
     head = {"track_range_settings": 1, "schema_version": SCHEMA_VERSION, "settings_hash": settings_hash(run, methods)}
     others = ({"methods": methods} if methods else {}) | ({} if detected is None else {"found": detected})

@@ -79,7 +79,7 @@ def _check_folder(options: PseudoLabelOptions, data: OwnLabels) -> None:
     names = {item.path.stem for item in data.train}
     if is_started and (others := sorted(file.name for file in options.out.glob("*.txt") if file.stem not in names)):
         raise OutputError(
-            f"{options.out}: expected labels of the training images in {options.data}, found "
+            f"{options.out}: expected labels of the images in {options.data}, found "
             f"{counted(len(others), 'label')} of other images, such as {others[0]}; delete these files to continue."
         )
     if not is_started and options.out.is_dir() and any(options.out.glob("*.txt")):
