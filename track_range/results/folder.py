@@ -142,14 +142,14 @@ class _Reader:
             killed = "the run was killed" if clip_rows(self.folder) is None else "the fleet was run without --reports"
             self.missing.append(
                 f"summary.json is missing: {describe_progress(self.folder) or killed}. Stage times, "
-                "alignment and notes are unknown; the other results are computed from the rows."
+                "alignment and notes are unknown; the other results are computed from the rows of the tracks."
             )
             return None
         with suppress(OutputError):
             summary = read_json(file, OutputError, "the summary of a run", max_bytes=_MAX_SUMMARY_BYTES)
             if isinstance(summary, dict):
                 return summary
-        self.missing.append("summary.json cannot be read: results are computed from the rows.")
+        self.missing.append("summary.json cannot be read: results are computed from the rows of the tracks.")
         return None
 
     def run(self, *, is_rounded: bool, has_events: bool) -> RunFolder:
@@ -231,7 +231,7 @@ class _Reader:
         try:
             events = read_events(path)
         except EventFileError as error:
-            self.missing.append(f"{EVENTS_FILE} cannot be read, so events were found again from the rows ({error})")
+            self.missing.append(f"{EVENTS_FILE} cannot be read: events come from the rows of the tracks ({error})")
             return None
         hours, starts_s = (
             value if isinstance(value, int | float) else 0.0

@@ -145,13 +145,13 @@ class _Inputs:
         return set(labels.track_id[labels.kitti_type == "van"].tolist())
 
     def hours(self, columns: Columns | None) -> float | None:
-        """Duration of the processed video from summary.json, else from the rows; None = unknown."""
+        """Duration of the processed video from summary.json, else from the rows of the tracks; None = unknown."""
         file = self.folder / "summary.json"
         if file.is_file():
             try:
                 summary = read_json(file, OutputError, "the summary of a run", max_bytes=_MAX_SUMMARY_BYTES)
             except OutputError as error:
-                self.notes.append(f"The duration is taken from the rows ({str(error).rstrip('.')}).")
+                self.notes.append(f"The duration is taken from the rows of the tracks ({str(error).rstrip('.')}).")
             else:
                 hours = _number(summary, "events", "hours")
                 if hours is not None and 0 < hours < _MAX_HOURS:

@@ -101,7 +101,7 @@ def export(settings: ExportSettings) -> Exported:
     if label_format is not None and label_format.write is not None:
         return _export_labels(settings, label_format, label_format.write, run, camera)
     if run is None:
-        raise UsageError(f"--to {settings.to}: expected the result folder of a run, found labels without its rows.")
+        raise UsageError(f"--to {settings.to}: expected the result folder of a run, found a label file.")
     return _export_rows(settings, run, camera)
 
 

@@ -97,10 +97,10 @@ def restore_events(run: RunFolder) -> Iterator[str]:
     if path.exists() and (run.folder / "summary.json").exists():
         raise OutputError(
             f"{path}: expected the events of the run, found a damaged file; delete it, so that it is written "
-            "again from the rows."
+            "again from the rows of the tracks."
         )
     write_event_files(run.folder, run.events, run.provenance.metadata())
-    yield f"{EVENTS_FILE} and {EVENTS_PARQUET} were written from the rows: {counted(len(run.events), 'event')}."
+    yield f"{EVENTS_FILE} and {EVENTS_PARQUET} were written from the tracks: {counted(len(run.events), 'event')}."
 
 
 def _write(path: Path, run: RunFolder) -> None:
