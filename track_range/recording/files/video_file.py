@@ -54,6 +54,7 @@ _STILL = Disposition.attached_pic | Disposition.timed_thumbnails  # streams that
 _RAW = frozenset(("h264", "hevc", "vvc", "m4v", "mpegvideo", "obu"))  # FFmpeg's names of streams without a container
 _MIN_STATED_HZ, _MAX_STATED_HZ = 1.0, 1000.0  # range of their frame rates; other rates belong to a clock
 _MIN_SHARED = 10  # number of frames per time from which the times of a file are useless
+_MAX_ENTRIES = 10_000  # entries of the index of a file that are compared: ten hours have a million
 _RESET_S = 1.0  # step back in time from which the clock was set back; frames are stored in another order within less
 _MILLISECOND, _ROUNDING_S = Fraction(1, 1000), 0.0006  # time base of Matroska, and largest error of its rounding, s
 
@@ -260,7 +261,8 @@ class _Reading:
                     f"video track {other} ({size_px[0]}x{size_px[1]} px) is left out, track {number} is used; --track "
                     f"chooses another track{', and --stereo FILE uses two of equal size as left and right' * is_equal}."
                 )
-        stamps = [entry.timestamp for entry in getattr(self.stream, "index_entries", ())]  # since PyAV 17
+        entries = itertools.islice(getattr(self.stream, "index_entries", ()), _MAX_ENTRIES)  # since PyAV 17
+        stamps = [entry.timestamp for entry in entries]
         try:
             _check_times(path, len(stamps), len(set(stamps)))
         except VideoError:
