@@ -130,27 +130,49 @@ class Ranger(ABC):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MethodContext:
-    """Inputs from which the rangers of a run, or of an evaluation of boxes, are created."""
+    """Inputs from which the rangers of a run, or of an evaluation of boxes, are created.
 
-    camera: PinholeCamera  # the (left) camera, undistorted
-    rig: StereoRig | None = None  # the calibrated, rectified pair; None = one camera, or an uncalibrated pair
-    assumed_rig: StereoRig | None = None  # an uncalibrated, row-aligned pair with an assumed baseline; None = any other
-    alignment: AlignmentSource = field(default_factory=Alignment)  # correction of the rig's disparities
-    drifting_alignment: AlignmentSource | None = None  # the same over the time of the drive; None = constant
-    focal_sigma: float = 0.0  # relative sigma of the focal length, which all methods share; 0 = calibrated
-    size_model: SizeModel | None = None  # sizes of road users; None = the packaged model
-    box_sigma_px: float | None = None  # sigma of one box edge; None = the noise model of a detector (`BoxNoise`)
-    box_errors: BoxErrors | None = None  # of the detector's boxes; None = unknown, or none with `box_sigma_px`
-    camera_height_m: float | None = None  # above the road; None = unknown
-    region: Region = "unknown"  # of the recording
-    lane_width_m: float | None = None  # distance between the centre lines of the lane markings; None = not given
-    has_images: bool = True  # whether frames have pixels; False if only boxes are evaluated
-    has_visible_boxes: bool = False  # of a detector, and not of files, which may be projected 3-D boxes
+    Attributes:
+        camera: the (left) camera, undistorted.
+        rig: the calibrated, rectified pair; None = one camera, or an uncalibrated pair.
+        assumed_rig: an uncalibrated, row-aligned pair with an assumed baseline; None = any other.
+        alignment: correction of the rig's disparities.
+        drifting_alignment: the same over the time of the drive; None = constant.
+        focal_sigma: relative sigma of the focal length, which all methods share; 0 = calibrated.
+        size_model: sizes of road users; None = the packaged model.
+        box_sigma_px: sigma of one box edge; None = the noise model of a detector (`BoxNoise`).
+        box_errors: systematic errors of the detector's boxes; None = unknown, or none with `box_sigma_px`.
+        camera_height_m: height of the camera above the road; None = unknown.
+        region: region of the recording.
+        lane_width_m: distance between the centre lines of the lane markings; None = not given.
+        has_images: whether frames have pixels; False if only boxes are evaluated.
+        has_visible_boxes: whether boxes end where a nearer object begins, as the boxes of a detector do.
+        has_lane_lines: whether lane lines are detected.
+        has_dense_disparity: whether dense stereo runs.
+        sgbm_options: parameters of dense stereo set by the user.
+        runtime: threads and device for networks; None = the defaults.
+        rangers: created so far, by name; first those in `reads`.
+    """
+
+    camera: PinholeCamera
+    rig: StereoRig | None = None
+    assumed_rig: StereoRig | None = None
+    alignment: AlignmentSource = field(default_factory=Alignment)
+    drifting_alignment: AlignmentSource | None = None
+    focal_sigma: float = 0.0
+    size_model: SizeModel | None = None
+    box_sigma_px: float | None = None
+    box_errors: BoxErrors | None = None
+    camera_height_m: float | None = None
+    region: Region = "unknown"
+    lane_width_m: float | None = None
+    has_images: bool = True
+    has_visible_boxes: bool = False
     has_lane_lines: bool = False
     has_dense_disparity: bool = False
-    sgbm_options: Mapping[str, Any] = field(default_factory=dict)  # parameters of dense stereo set by the user
-    runtime: Runtime | None = None  # threads and device for networks; None = the defaults
-    rangers: Mapping[str, Ranger] = field(default_factory=dict)  # created so far, by name; first those in `reads`
+    sgbm_options: Mapping[str, Any] = field(default_factory=dict)
+    runtime: Runtime | None = None
+    rangers: Mapping[str, Ranger] = field(default_factory=dict)
 
     @property
     def available(self) -> frozenset[Requirement]:
