@@ -87,7 +87,7 @@ class Detections:
     def of(cls, xyxy_px: npt.ArrayLike, score: npt.ArrayLike, class_id: npt.ArrayLike) -> Detections:
         """Detections without embeddings, from boxes (N, 4), scores (N,) and class ids (N,) as arrays or lists."""
         boxes = np.asarray(xyxy_px, np.float64)
-        if boxes.size and boxes.shape[-1] % 4:
+        if boxes.size and (not boxes.ndim or boxes.shape[-1] % 4):
             raise ValueError(f"xyxy_px: expected shape (N, 4), left, top, right, bottom edge, got {boxes.shape}")
         boxes = boxes.reshape(-1, 4)
         return cls(

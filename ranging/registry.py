@@ -80,6 +80,9 @@ def create_rangers(context: MethodContext, listed: Sequence[RangingMethod] | Non
         if method.needs <= context.available:
             with named_errors(method.create.__module__, f"ranging method {method.name!r}", MethodError):
                 ranger = method.create(replace(context, rangers=MappingProxyType(rangers)))
+            if not isinstance(ranger, Ranger | None):
+                given = f"expected create() to return a Ranger or None, got {type(ranger).__name__}"
+                raise MethodError(f"ranging method {method.name!r}: {given}.")
             if ranger is not None:
                 rangers[method.name] = ranger
     return rangers

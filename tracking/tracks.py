@@ -25,7 +25,7 @@ class Tracks:
         (Tracks(1 car), [7])
 
     Attributes:
-        track_id: (N,) int64, >= 1, unique within a frame, the same for one road user in all frames.
+        track_id: (N,) int64, >= 0, unique within a frame, the same for one road user in all frames.
         xyxy_px: (N, 4) float64 box, in the frame's pixels.
         class_id: (N,) int64, index into `ROAD_CLASSES`.
         score: (N,) float64 in [0, 1].

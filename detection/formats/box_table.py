@@ -33,7 +33,7 @@ class VideoFacts:
     fps: float | None = None
     is_rectified: bool = False  # boxes are in rectified pixels, as in the results of a run, not in those of the video
     provenance: Mapping[str, str] = field(default_factory=dict)  # program, model, ..., for metadata of files
-    frames: Sequence[int] | None = None  # the numbers of those that have labels if objects are in them; None = all
+    frames: Sequence[int] | None = None  # numbers of the frames that a written file lists; None = all
 
     @property
     def pixels(self) -> str:

@@ -39,8 +39,8 @@ _MIN_GROUND, _GROUND_LEAD = 0.5, 0.1  # minimum correlation of the half of the i
 _NEGATIVE_PX, _MIN_EXCHANGED, _MAX_NEGATIVE = -3.0, 0.3, 0.1
 _MIN_STEPS, _MIN_SUPPORT = 3, 0.25  # smallest number of steps, and support, of an offset
 _MIN_OFFSET_PX, _MIN_SIGMAS = 5.0, 4.0  # smallest error of the disparities that is corrected here
-# fractions of the points with less disparity than half of the offset: far points have that of a negative one, none has
-# less than a positive one
+# fractions of the points with less disparity than half of the offset: with a negative offset, far points must be there;
+# with a positive offset, nearly no point may be
 _MIN_FAR, _MAX_BEYOND = 0.03, 0.25
 _MODEL_PX = 2.0  # standard deviation of the offset from other errors than noise
 _YAW_ERROR_DEG = 0.7  # largest error of the yaw from rows

@@ -88,6 +88,7 @@ def returning(value):
             lambda: Detections.of([[1, 2, 3, 4]], [0.9], ["car"]),
             r"class_id: expected whole numbers, got .*'car'.*class_id",
         ),
+        (lambda: Detections.of(7, [0.9], [2]), r"xyxy_px: expected shape \(N, 4\), .* got \(\)"),
         (lambda: Detections([[1, 2, 3, 4]], [0.9], [2], None), r"xyxy_px: expected an array, got list"),
         (
             Detections.of([[0.1, 0.2, 0.3, 0.4]], [0.9], [2]),

@@ -61,6 +61,11 @@ def test_unknown_names_of_methods_are_refused(change):
         assert registry.origins() == {"radar": "tests.ranging.test_registry:<lambda>"}
 
 
+def test_create_that_returns_no_ranger():
+    with pytest.raises(MethodError, match=r"'radar': expected create\(\) to return a Ranger or None, got object"):
+        registry.create_rangers(MethodContext(camera=CAMERA), [replace(RADAR, create=lambda context: object())])
+
+
 def test_measuring_order_follows_reads():
     first, second = replace(RADAR, name="a", reads=("b", "absent")), replace(RADAR, name="b")
     assert names(registry.in_measuring_order([first, second])) == ["b", "a"]

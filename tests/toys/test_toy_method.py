@@ -34,7 +34,7 @@ def run_folder(tmp_path, cli):
     write_film(video, [0.1 * i for i in range(8)])
     boxes.write_text("".join(f"{i},10,4,40,47,0.9\n" for i in range(8)))
 
-    def run(expected=0, name="out"):
+    def run(expected=0, name="out", more=()):
         out = tmp_path / name
         arguments = (
             "--mono",
@@ -49,7 +49,7 @@ def run_folder(tmp_path, cli):
             "--out",
             out,
         )
-        status, printed, complaint = cli(*arguments)
+        status, printed, complaint = cli(*arguments, *more)
         assert status == expected, complaint
         return out, complaint if expected else printed
 
@@ -121,6 +121,9 @@ class Failing(BoxWidthRanger):
     def summary(self):
         return {"toy": self.missing}
 
+    def notes(self):  # an attribute in `Ranger`
+        return ("a note",)
+
 
 def test_method_that_fails_is_named_and_the_frames_before_it_are_kept(run_folder):
     with registered_method(replace(TOY, create=lambda context: Failing(context.camera))):
@@ -132,8 +135,17 @@ def test_method_that_fails_is_named_and_the_frames_before_it_are_kept(run_folder
     assert rows[-1]["frame"] == "4"
     notes = json.loads((out / "summary.json").read_text())["notes"]
     assert any(note.startswith("The run was stopped early, after 5 frames: ranging method 'toy'") for note in notes)
-    assert [note for note in notes if note.startswith("Ranging method 'toy': 3 values ") and "(sigma_m in 3)" in note]
-    assert [note for note in notes if note.startswith("ranging method 'toy', end of the run: AttributeError: ")]
+    assert [
+        note for note in notes if note.startswith("Ranging method 'toy': skipped 3 values,") and "sigma_m in 3)" in note
+    ]
+    ends = [note for note in notes if note.startswith("ranging method 'toy', end of the run: ")]
+    assert sorted(note.split(": ")[1] for note in ends) == ["AttributeError", "TypeError"]
+
+
+def test_cause_of_a_stop_may_name_folders(run_folder):
+    with registered_method(replace(TOY, create=lambda context: Failing(context.camera))):
+        out, _ = run_folder(1, more=("--anonymize",))
+    assert "The run was stopped early, after 5 frames." in json.loads((out / "summary.json").read_text())["notes"]
 
 
 def test_settings_name_the_methods_of_others(run_folder, cli):

@@ -18,6 +18,7 @@ from track_range.detection.detections import Detections
 from track_range.detection.lanes.lines import LaneFinder, LaneLines
 from track_range.foundation.arrays import FloatArray, FloatArray32
 from track_range.foundation.errors import named_errors
+from track_range.foundation.files.input_files import counted
 from track_range.pipeline.throughput import StageClock
 from track_range.ranging.filtering.cut_boxes import CutBoxes
 from track_range.ranging.filtering.distance_filter import DistanceFilters, FilteredRanges
@@ -211,13 +212,15 @@ class RangingStage:
 
     def notes(self) -> tuple[str, ...]:
         """Notes for the user: of the methods at their end, and on invalid values and methods."""
-        notes = [note for of_method in self._answers(lambda ranger: ranger.notes) for note in of_method]
+        notes = [note for of_method in self._answers(lambda ranger: tuple(ranger.notes)) for note in of_method]
         for name in self.rangers:
             counts = {column: n for (method, column), n in self._n_invalid.items() if method == name and n}
             if counts:
                 reasons = ", ".join(f"{column} in {n}" for column, n in counts.items())
-                left_out = f"{sum(counts.values())} values were left out, since they are not positive and finite"
-                notes.append(f"Ranging method {name!r}: {left_out} ({reasons}).")
+                skipped = (
+                    f"skipped {counted(sum(counts.values()), 'value')}, since only positive and finite values are valid"
+                )
+                notes.append(f"Ranging method {name!r}: {skipped} ({reasons}).")
         return (*notes, *self._failures)
 
     def summary(self) -> dict[str, Any]:

@@ -307,8 +307,8 @@ class StereoPipeline(Pipeline):
             right: image of the right camera at the same time.
             time_s: time of the images in seconds on any clock; must increase. Times in results count from the first
                 frame.
-            ego_speed_mps: speed of the camera, negative = backwards; None or NaN = measured from the images, of one
-                camera only with `camera_height_m`.
+            ego_speed_mps: speed of the camera, negative = backwards; None or NaN = measured from the images (in a
+                `MonoPipeline` only with `camera_height_m`).
 
         Raises:
             FrameError: an image has another size or type than the first image, or the time does not increase.

@@ -266,9 +266,11 @@ class RunSession:
         return [self._without_paths(note) for note in notes] if settings.anonymize else notes
 
     def _stop_note(self, error: BaseException) -> str:
+        stopped = f"The run was stopped early, after {counted(len(self.rows), 'frame')}"
         is_asked = isinstance(error, RunStoppedError | GeneratorExit | KeyboardInterrupt)
-        cause = str(error) if isinstance(error, UserError) else f"{type(error).__name__}: {error}"
-        return f"The run was stopped early, after {counted(len(self.rows), 'frame')}{'.' if is_asked else f': {cause}'}"
+        if is_asked or self.settings.anonymize:  # a cause may name folders
+            return f"{stopped}."
+        return f"{stopped}: {error if isinstance(error, UserError) else f'{type(error).__name__}: {error}'}"
 
     def _odometry_note(self, source: str) -> str:
         n_frames, n_known = len(self.rows), int(np.isfinite(self.rows.ego_mps).sum())

@@ -126,13 +126,14 @@ def read_settings(file: Path) -> dict[str, Any]:
     if not isinstance(document, dict) or document.get("track_range_settings") != 1:
         raise ConfigError(f"{file}: expected the settings.yaml of a run, with the key 'track_range_settings: 1'.")
     run, methods = document.get("run"), document.get("methods")
-    for name, origin in methods.items() if isinstance(methods, dict) else ():
+    if isinstance(methods, dict) and methods:
         from track_range.ranging.registry import methods as registered
 
-        if name not in [method.name for method in registered()]:
+        known = {method.name for method in registered()}
+        for name in methods.keys() - known:
             raise ConfigError(
-                f"{file}: expected the ranging method {name!r} ({origin}), but it is not registered; install its "
-                "package, register it before the run, or delete it from the section 'methods'."
+                f"{file}: expected the ranging method {name!r} ({methods[name]}), but it is not registered; install "
+                "its package, register it before the run, or delete it from the section 'methods'."
             )
     if not isinstance(run, dict) or not all(isinstance(key, str) for key in run):
         raise ConfigError(f"{file}: expected a section 'run:' with the settings of the run.")

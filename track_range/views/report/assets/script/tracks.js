@@ -86,7 +86,7 @@ const titleOf = (track) => `${track.name} ${track.id}`;
 function detailOf(track) {
   const words = [`${track.n} frame${track.n === 1 ? "" : "s"}, ${track.from_s.toFixed(1)} to ${track.to_s.toFixed(1)} s`];
   if (track.near_m !== null) words.push(`minimum distance ${track.near_m.toFixed(1)} m`);
-  if (track.ttc_s !== null) words.push(`shortest time to collision with the front of the camera's vehicle ${track.ttc_s.toFixed(1)} s`);
+  if (track.ttc_s !== null) words.push(`shortest time to collision with the front of the ego vehicle ${track.ttc_s.toFixed(1)} s`);
   if (track.error_pct !== null) words.push(`median error of the fused distance ${track.error_pct.toFixed(1)} %`);
   return words.join(" \u00b7 ");
 }
