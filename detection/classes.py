@@ -105,7 +105,8 @@ def road_class_id(name: str) -> int:
     """
     road_class = road_class_of(name)
     if road_class is None:
-        near = difflib.get_close_matches(class_key(name), ROAD_CLASS_OF, n=1, cutoff=0.0)[0]
+        key = class_key(name)
+        near = difflib.get_close_matches(key, ROAD_CLASS_OF, n=1, cutoff=0.0)[0]
         raise ClassNameError(
             f"unknown class '{name}': did you mean '{ROAD_CLASS_OF[near]}'? The classes are {ROAD_CLASS_TABLE}."
         )

@@ -53,7 +53,8 @@ class BoxErrorSamples:
             label = np.flatnonzero(is_used & (overlap.max(axis=0) >= _MIN_IOU))
             box, true = boxes[best[label]], labels[label]
             error = np.log((box[:, 2:] - box[:, :2]) / (true[:, 2:] - true[:, :2]))[:, ::-1]
-            self._rows.append(np.column_stack([np.full(len(label), self.n_images), truth.class_id[label], error]))
+            index = np.full(len(label), self.n_images)
+            self._rows.append(np.column_stack([index, truth.class_id[label], error]))
         self.n_images += 1
 
     def fit(self, *, is_drawn: bool) -> Mapping[str, tuple[BoxError, int]]:

@@ -107,7 +107,8 @@ def _match_image(
         if len(labels):
             _match(overlap, is_ignored=is_ignored, is_region=is_region, is_hit=is_hit, is_void=is_void)
         is_void |= ~is_hit & ~(size_bin.contains(boxes) & (height_px(boxes) >= min_height_px))
-        matches.append(ClassMatches(detections.score[chosen], is_hit, is_void, int(np.count_nonzero(~is_ignored))))
+        n_boxes = int(np.count_nonzero(~is_ignored))
+        matches.append(ClassMatches(detections.score[chosen], is_hit, is_void, n_boxes))
     return matches
 
 

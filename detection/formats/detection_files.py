@@ -70,7 +70,11 @@ class RecordedDetections:
 
 
 def read_detections(
-    path: Path, *, default_class_id: int = 0, form: DetectionFormat | None = None, video: VideoFacts = NO_FACTS
+    path: Path,
+    *,
+    default_class_id: int = 0,
+    form: DetectionFormat | None = None,
+    video: VideoFacts = NO_FACTS,
 ) -> RecordedDetections:
     """The detections in a file, or in a folder with a file for each image; an empty file has no boxes.
 

@@ -85,5 +85,6 @@ class LaneState:
         height, shift = self.image_hw[0], _REFERENCE_ROW
         # 1, t and t^2 in powers of y
         of_t = np.array([[1.0, -shift, shift**2], [0.0, 1 / height, -2 * shift / height], [0.0, 0.0, 1 / height**2]])
-        transform = of_t @ np.array([[1.0, 0, side / 2, 0, 0], [0, 1.0, 0, side / 2, 0], [0, 0, 0, 0, 1.0]])
+        of_state = np.array([[1.0, 0, side / 2, 0, 0], [0, 1.0, 0, side / 2, 0], [0, 0, 0, 0, 1.0]])
+        transform = of_t @ of_state
         return LaneLine(transform @ self.mean, transform @ self.covariance @ transform.T, y_top_px, y_bottom_px)

@@ -235,7 +235,8 @@ def levels_apart(network: NetworkOutputs) -> Iterator[YoloModel]:
         if n_dimensions == 3:
             yield replace(model, score_outputs=tuple(part.output for part in score_parts))
             continue
-        decoder = partial(decode_rows, [replace(level, activation="sigmoid") for level in levels])
+        logits = [replace(level, activation="sigmoid") for level in levels]
+        decoder = partial(decode_rows, logits)
         yield replace(model, decoder=decoder, accepts=partial(_are_probabilities, score_parts, False))
         yield replace(model, name=f"{name}-activated", accepts=partial(_are_probabilities, score_parts, True))
 
@@ -282,7 +283,8 @@ def boxes_and_scores(network: NetworkOutputs) -> Iterator[YoloModel]:
         has_background = n_columns - 1 in (network.n_names, *(() if network.n_names else (80, 20)))
         for name in (_SSD_PAIRS if has_background else _PAIRS).split():
             family, code, form = _READINGS[name]
-            kept, other = (slice(0, -1), slice(-1, None)) if name.endswith("-last") else (slice(1, None), slice(0, 1))
+            is_last = name.endswith("-last")
+            kept, other = (slice(0, -1), slice(-1, None)) if is_last else (slice(1, None), slice(0, 1))
             rows = BoxRows(
                 boxes=Part(boxes),
                 scores=part,
@@ -375,7 +377,8 @@ def fastest_heads(network: NetworkOutputs) -> Iterator[YoloModel]:
             )
         )
     layout = f"heads {list(shapes[0])}, {list(shapes[1])}: boxes and objectness of {n} anchors, classes"
-    yield _model("Yolo-FastestV2", "yolo-fastestv2", layout, n_classes, replace(_STRETCHED, colours="bgr"), levels)
+    form = replace(_STRETCHED, colours="bgr")
+    yield _model("Yolo-FastestV2", "yolo-fastestv2", layout, n_classes, form, levels)
 
 
 def _n_classes(network: NetworkOutputs, n_columns: int) -> tuple[int, str]:

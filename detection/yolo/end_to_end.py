@@ -167,7 +167,8 @@ def labels_boxes_scores(network: NetworkOutputs) -> Iterator[YoloModel]:
     first = int(network.n_names is not None)
     rows = LabelledBoxes((boxes[0], slice(0, 4)), (scores, None), label, corners())
     if network.has_target_sizes:
-        yield _square_model("D-FINE/DEIM/RT-DETR", "d-fine", f"{layout}, with {TARGET_SIZES}", None, rows.decode)
+        text = f"{layout}, with {TARGET_SIZES}"
+        yield _square_model("D-FINE/DEIM/RT-DETR", "d-fine", text, None, rows.decode)
     elif counts and not network.is_integer[labels[0]]:  # TensorFlow: top, left, bottom, right; labels from 1
         rows = replace(rows, code=decoders.rows_first(network.input_wh), first_label=first)
         model = _labelled("TensorFlow's detection API", "tf-detections", f"{layout}, corners as fractions", rows)

@@ -74,7 +74,8 @@ class Letterbox:
     def to_image_clipped(self, xyxy_net: FloatArray) -> FloatArray:
         """(N, 4) boxes in image pixels, clipped to the image's outer borders (-0.5 .. size - 0.5)."""
         h, w = self.image_hw
-        return np.clip(self.to_image(xyxy_net), -0.5, np.array([w, h, w, h]) - 0.5)
+        limit = np.array([w, h, w, h]) - 0.5
+        return np.clip(self.to_image(xyxy_net), -0.5, limit)
 
 
 def rectangular_input_hw(image_hw: tuple[int, int], *, size_px: int, stride_px: int = 32) -> tuple[int, int]:

@@ -75,7 +75,8 @@ def score_methods(
     compared = {name: c for name, c in methods.items() if (separate[name]["coverage"] or 0) >= _MIN_COMMON_COVERAGE}
     is_measured = [np.isfinite(column.distance_m) for column in compared.values()]
     in_common = in_span & is_road_class & np.all(is_measured or [in_span], axis=0)
-    return separate, {name: _score_with_bands(column, true_m, in_span=in_common) for name, column in compared.items()}
+    common = {name: _score_with_bands(column, true_m, in_span=in_common) for name, column in compared.items()}
+    return separate, common
 
 
 def coverage_only(methods: Mapping[str, MethodColumn]) -> dict[str, Any]:

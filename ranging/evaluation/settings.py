@@ -10,7 +10,8 @@ from track_range.ranging.size_models.region import Region
 BoxesField = Annotated[
     str,
     option(
-        "Boxes to measure from: labelled boxes, or detections DIR/{Car,Pedestrian}/NAME.txt.", metavar="labels|rrc:DIR"
+        "Boxes to measure from: labelled boxes, or detections DIR/{Car,Pedestrian}/NAME.txt.",
+        metavar="labels|rrc:DIR",
     ),
 ]
 NoiseField = Annotated[

@@ -86,7 +86,8 @@ def read_truth(path: Path, camera: PinholeCamera, left_from_reference_m: FloatAr
 
 
 def _of_table(path: Path, camera: PinholeCamera) -> Truth:
-    table = read_labels(path, VideoFacts(size_px=(camera.width_px, camera.height_px)), expected="ground truth")
+    size_px = (camera.width_px, camera.height_px)
+    table = read_labels(path, VideoFacts(size_px=size_px), expected="ground truth")
     if (table.track_id[~table.is_region] < 0).any():
         raise LabelFileError(f"{path}: expected labels with track ids as ground truth, found boxes without track ids.")
     distance_m = np.where(_is_cut(table.xyxy_px, camera) | (table.distance_m <= 0), np.nan, table.distance_m)

@@ -92,7 +92,8 @@ def _standard_curve(name: str) -> SizeCurve:
 def _design(boxes: BoxSet, *, use_width: bool) -> FloatArray:
     """(N, 3 or 4) design matrix: 1, log height, log width if used, |tan bearing|."""
     log_w, log_h = np.log(boxes.wh_over_f).T
-    return np.stack([np.ones_like(log_h), log_h, *([log_w] if use_width else []), np.abs(boxes.bearing)], axis=1)
+    columns = [np.ones_like(log_h), log_h, *([log_w] if use_width else []), np.abs(boxes.bearing)]
+    return np.stack(columns, axis=1)
 
 
 def _solve(boxes: BoxSet, *, use_width: bool) -> FloatArray:
@@ -105,4 +106,5 @@ def _solve(boxes: BoxSet, *, use_width: bool) -> FloatArray:
     def residual(x: FloatArray) -> FloatArray:
         return np.asarray(design @ x - log_distance)
 
-    return np.asarray(least_squares(residual, start, bounds=(low, high), loss="huber", f_scale=_HUBER_SCALE).x)
+    result = least_squares(residual, start, bounds=(low, high), loss="huber", f_scale=_HUBER_SCALE)
+    return np.asarray(result.x)

@@ -429,7 +429,8 @@ class GroundRanger(Ranger):
         is_independent = self._is_reference and self.plane.has_seen_horizon and not self._has_stereo
         evidence = None
         if is_independent and self._road is not None and "mono" in others:
-            evidence = ScaleEvidence(tracks.class_id, None, self.plane.measure_alone(tracks, frame), _REFERENCE_SIGMA)
+            alone = self.plane.measure_alone(tracks, frame)
+            evidence = ScaleEvidence(tracks.class_id, None, alone, _REFERENCE_SIGMA)
         ranges = self.plane.measure(tracks, by_size, frame)
         return Measured(replace(ranges, is_fallback=not is_independent), evidence)
 

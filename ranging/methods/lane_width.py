@@ -154,7 +154,8 @@ class LaneWidthRanger(Ranger):
             shared_sigma = scale.bias_of("car").sigma if is_by_size else _MIN_WIDTH_SIGMA
             own = self._learn(tracks, widths, others[self._width_from], shared_sigma, frame.time_s)
             log_width, sigma = self._learnt(own & is_by_size, shared_sigma, frame.time_s, is_measured=not is_by_size)
-        return Measured(inflated_by_disagreement(self._ranges(tracks, frame, log_width, sigma), list(others.values())))
+        ranges = self._ranges(tracks, frame, log_width, sigma)
+        return Measured(inflated_by_disagreement(ranges, list(others.values())))
 
     def update_motion(self, step: CameraStep) -> None:
         """Expect the lanes of fast roads once the vehicle is fast."""

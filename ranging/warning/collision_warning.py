@@ -211,7 +211,8 @@ class CollisionWarning:
         # Motion of the objects along the road.
         measured, sigma_m = motion.state, motion.ranges.sigma_m
         if ego.has_speed and is_person.any():  # the prior speed of people along the road
-            measured = _with_rate(measured, -ego.speed_mps, np.where(is_person, settings.person_along_mps, np.inf))
+            along_mps = np.where(is_person, settings.person_along_mps, np.inf)
+            measured = _with_rate(measured, -ego.speed_mps, along_mps)
         is_known = np.isfinite(measured.x) & np.isfinite(lateral.state.x)
         is_certain = measured.P_vv <= settings.max_closing_sigma_mps**2
         measured = replace(measured, P_vv=measured.P_vv + (sigma_m / settings.drift_s) ** 2)

@@ -192,7 +192,8 @@ def post_encroachment_s(
     x, y = residual[row, nearest].T
     e = (along[nearest, 0] * y - along[nearest, 1] * x) / length[nearest]
     reach_m = half_width_m + settings.ego_width_m / 2
-    inside = np.flatnonzero((np.hypot(x, y) < reach_m) & (s > 0) & (s < s_ego[-1]))
+    is_there = (np.hypot(x, y) < reach_m) & (s > 0) & (s < s_ego[-1])
+    inside = np.flatnonzero(is_there)
     if not len(inside):
         return np.nan
     before, after = e[: inside[0]], e[inside[-1] + 1 :]

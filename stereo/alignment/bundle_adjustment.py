@@ -210,7 +210,8 @@ def _point_blocks(
     columns = [linear.by_pose, linear.by_error, linear.by_point, linear.residual[:, :, None]]
     products = l_jy.transpose(0, 2, 1) @ np.concatenate(columns, axis=2)
     order = np.argsort(observed.point, kind="stable")
-    sums = np.add.reduceat(products[order, :, 6:], np.searchsorted(observed.point[order], np.arange(n_points)), axis=0)
+    starts = np.searchsorted(observed.point[order], np.arange(n_points))
+    sums = np.add.reduceat(products[order, :, 6:], starts, axis=0)
     by_frame = np.zeros((n_points, 3, n_frames, 6))
     by_frame[observed.point, :, observed.frame] = products[:, :, :6]
     w = np.concatenate([by_frame.reshape(n_points, 3, -1)[:, :, 6:], sums[:, :, :n_errors]], axis=2)

@@ -57,7 +57,8 @@ class _AlignmentFile(BaseModel):
 
 def save_alignment(alignment: Alignment, path: Path) -> None:
     """Write an alignment file atomically; RigError if it cannot be written."""
-    write_rig_text(path, yaml_text({_VERSION_KEY: _VERSION, **alignment.to_dict()}, width=120, allow_unicode=True))
+    content = {_VERSION_KEY: _VERSION, **alignment.to_dict()}
+    write_rig_text(path, yaml_text(content, width=120, allow_unicode=True))
 
 
 def load_alignment(path: str | Path) -> Alignment:

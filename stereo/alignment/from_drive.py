@@ -216,4 +216,5 @@ def observations_of(frames: Sequence[TrackedFrame], view: RightView, rig: Stereo
     """The observations of the points of consecutive frames, with the right points corrected by `view`."""
     frame = np.concatenate([np.full(len(tracked.points.number), index) for index, tracked in enumerate(frames)])
     number, left_px, right_px = (np.concatenate(part) for part in zip(*(f.points for f in frames), strict=True))
-    return Observations(frame, number, np.column_stack([left_px, view.corrected(right_px, rig.left)[:, 0]]))
+    corrected_px = view.corrected(right_px, rig.left)
+    return Observations(frame, number, np.column_stack([left_px, corrected_px[:, 0]]))

@@ -126,7 +126,8 @@ def _is_curvature_supported(known: _Known) -> bool:
         plain_px, _ = _fit(rest, has_curvature=False)
         offset_px, curvature_px = _fit(rest, has_curvature=True)
         residual_px = held_out.error_px - offset_px - curvature_px * held_out.u2
-        np.add.at(gain, held_out.group, held_out.weight * (np.abs(held_out.error_px - plain_px) - np.abs(residual_px)))
+        gain_px = np.abs(held_out.error_px - plain_px) - np.abs(residual_px)
+        np.add.at(gain, held_out.group, held_out.weight * gain_px)
     return bool(gain.mean() > 2 * gain.std(ddof=1) / np.sqrt(n_groups))
 
 

@@ -76,7 +76,8 @@ class Alignment:
         self, disparity_px: FloatArray, sigma_px: FloatArray, *, x_px: FloatArray, camera: PinholeCamera
     ) -> tuple[FloatArray, FloatArray]:
         """(N,) corrected disparities at columns x_px (N,) of the rectified left image, and sigmas; NaN stays NaN."""
-        return disparity_px + self.error_px(column_from_axis(x_px, camera)), np.hypot(sigma_px, self.residual_px)
+        u = column_from_axis(x_px, camera)
+        return disparity_px + self.error_px(u), np.hypot(sigma_px, self.residual_px)
 
     def error_px(self, u: FloatArray) -> FloatArray:
         """(N,) d_true - d_measured at the columns `u` (N,) from the axis."""

@@ -117,7 +117,8 @@ def find_fault(figures: PairFigures, rig: StereoRig) -> PairFinding:
 
 
 def _refused(reason: str) -> PairFinding:
-    return PairFinding("refused", f"The rig does not fit these images: {reason}.{WITHOUT_STEREO}")
+    sentence = f"The rig does not fit these images: {reason}.{WITHOUT_STEREO}"
+    return PairFinding("refused", sentence)
 
 
 def _is_without_parallax(figures: PairFigures, rig: StereoRig) -> bool:

@@ -73,7 +73,8 @@ class BoardFinder:
         spread = np.linalg.svd(xyz_m[:, :2] - xyz_m[:, :2].mean(axis=0), compute_uv=False)
         if len(corner_id) < _MIN_CHARUCO_CORNERS or spread[1] < 1e-6 * max(spread[0], 1e-12):
             return RejectedView(name, f"only {len(corner_id)} corners of the board were found")
-        return BoardView(name, (image.shape[1], image.shape[0]), corner_id, xy_px, xyz_m, _edge_px(image, xy_px))
+        size_px = (image.shape[1], image.shape[0])
+        return BoardView(name, size_px, corner_id, xy_px, xyz_m, _edge_px(image, xy_px))
 
     def may_contain_board(self, image: Image) -> bool:
         """Whether a fast search finds a board: for videos, in which most frames show none."""

@@ -64,7 +64,8 @@ def view_shape(view: BoardView) -> FloatArray:
     """(4,) x, y of the board's centre, size, and skew (from right angles and equal sides), each about 0 .. 1."""
     size_px, on_board = np.array(view.size_px), view.xyz_m[:, :2] / np.ptp(view.xyz_m[:, :2])
     x, y = view.xy_px.mean(axis=0) / size_px
-    size = math.sqrt(float(cv2.contourArea(cv2.convexHull(view.xy_px.astype(np.float32)))) / float(size_px.prod()))
+    hull = cv2.convexHull(view.xy_px.astype(np.float32))
+    size = math.sqrt(float(cv2.contourArea(hull)) / float(size_px.prod()))
     homography = cv2.findHomography(on_board, view.xy_px)[0]
     if homography is None:
         return np.array([x, y, size, 0.0])

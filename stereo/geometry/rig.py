@@ -81,7 +81,8 @@ class StereoRig:
 
     def distance_m(self, disparity_px: FloatArray) -> FloatArray:
         """(N,) depth z, metres, of disparities (N,) of the rectified pair; NaN for disparities <= 0."""
-        return np.asarray(self.left.fx_px * self.baseline_m / np.where(disparity_px > 0, disparity_px, np.nan))
+        positive = np.where(disparity_px > 0, disparity_px, np.nan)
+        return np.asarray(self.left.fx_px * self.baseline_m / positive)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -58,7 +58,8 @@ class SpeedFilter:
             is_outlier = bool(np.abs(innovation)[0] > limit_mps[0])
             self._n_outliers = self._n_outliers + 1 if is_outlier else 0
             if not is_outlier:
-                self._state = self._state.update(innovation, np.array([sigma_mps**2]), valid=np.ones(1, np.bool_))
+                variance = np.array([sigma_mps**2])
+                self._state = self._state.update(innovation, variance, valid=np.ones(1, np.bool_))
                 self._measured_s, self._n_measured = middle_s, self._n_measured + 1
             if self._n_outliers < _MAX_OUTLIERS:
                 return

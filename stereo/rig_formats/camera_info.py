@@ -87,7 +87,8 @@ def rig_of(left: CameraInfo, right: CameraInfo, path: Path, *, is_rectified: boo
         )
     r1, r2 = (np.eye(3), np.eye(3)) if is_rectified else (left.r, right.r)
     cameras = [camera_of(message, path, is_rectified=is_rectified) for message in (left, right)]
-    return StereoRig(cameras[0], cameras[1], rigid_motion(r2.T @ r1, r2.T @ [offset_m, 0.0, 0.0]))
+    motion = rigid_motion(r2.T @ r1, r2.T @ [offset_m, 0.0, 0.0])
+    return StereoRig(cameras[0], cameras[1], motion)
 
 
 def is_undistorted(message: CameraInfo) -> bool:

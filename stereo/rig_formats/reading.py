@@ -120,7 +120,8 @@ def left_from_reference_m(path: Path, *, is_grey: bool, size_px: tuple[int, int]
     they are compared with measured distances. `size_px` is the (width, height) of the images; None = rectified. Raises
     RigError if the file cannot be read or is not a calibration.
     """
-    return np.array(read_calibration(path, is_grey=is_grey, is_pair=False).of_size(size_px).left_from_reference_m)
+    calibration = read_calibration(path, is_grey=is_grey, is_pair=False).of_size(size_px)
+    return np.array(calibration.left_from_reference_m)
 
 
 def find_rig(left_video: Path) -> Path | None:

@@ -131,7 +131,8 @@ def _camera_content(camera: PinholeCamera) -> dict[str, Any]:
 
 def _save(content: Mapping[str, object], path: Path, comments: Sequence[str]) -> None:
     head = "".join(f"# {part}\n" for line in comments for part in line.splitlines())
-    write_rig_text(path, head + yaml_text({"track_range_rig": VERSION, **content}, default_flow_style=None, width=120))
+    text = yaml_text({"track_range_rig": VERSION, **content}, default_flow_style=None, width=120)
+    write_rig_text(path, head + text)
 
 
 def _read(text: str, path: Path, _is_grey: bool) -> RigCalibration:

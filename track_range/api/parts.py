@@ -157,7 +157,8 @@ class Tracker:
             ModelError: the re-identification network cannot be used.
         """
         runtime = Runtime(device=device, n_threads=threads)
-        self._tracker = create_tracker(name, open_tracker_options(None if reid is None else Path(reid), runtime))
+        options = open_tracker_options(None if reid is None else Path(reid), runtime)
+        self._tracker = create_tracker(name, options)
 
     def update(self, detections: Detections, time_s: float, image: Image | None = None) -> Tracks:
         """Confirmed tracks after an update with the detections of one frame.

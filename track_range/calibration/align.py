@@ -136,7 +136,8 @@ def _inputs(settings: AlignmentSettings | RigCheckSettings) -> list[Path]:
     reference = settings.reference if isinstance(settings, AlignmentSettings) else None
     folders = [folder for folder in (*settings.drives, reference) if folder is not None]
     videos = [*(settings.stereo or ()), *(folder / name for folder in folders for name in (LEFT, RIGHT))]
-    return [*videos, *(path for path in (settings.rig, reference, *map(find_rig, videos)) if path is not None)]
+    named = (settings.rig, reference, *map(find_rig, videos))
+    return [*videos, *(path for path in named if path is not None)]
 
 
 def _from_drives(

@@ -92,7 +92,8 @@ def read_drive(folder: Path, *, rig: Path | None = None, row_offset_px: float = 
     `rig` is a rig file, None = the one in the folder; `row_offset_px`, y_right - y_left, is corrected in the right
     images. Raises VideoError, RigError, LabelFileError or PairFileError if videos, rig or labels cannot be used.
     """
-    recording, rectified = open_pair(folder / LEFT, folder / RIGHT, rig, align=Alignment(row_offset_px=row_offset_px))
+    rows = Alignment(row_offset_px=row_offset_px)
+    recording, rectified = open_pair(folder / LEFT, folder / RIGHT, rig, align=rows)
     with closing(recording):
         labels = next((folder / name for name in LABELS if (folder / name).is_file()), None)
         if labels is None:

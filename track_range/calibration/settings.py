@@ -146,7 +146,8 @@ class CalibrationSettings(Options):
         option("Measured height of the camera above the road in m.", metavar="M", panel=_ROAD, gt=0.2, le=5),
     ] = None
     force: Annotated[
-        bool, option("Output of the calibration even if the measurements contradict each other.", panel=_ROAD)
+        bool,
+        option("Output of the calibration even if the measurements contradict each other.", panel=_ROAD),
     ] = False
     camera_model: Annotated[
         str | None,

@@ -204,7 +204,8 @@ class BackgroundFlow:
         n_good = corners.n_good(n_corners, min_quality)
         self._needs.add((n_corners, min_quality))
         if n_good > len(self._points):
-            new = corners.points[len(self._points) : max(starmap(corners.n_good, self._needs))]
+            n_needed = max(starmap(corners.n_good, self._needs))
+            new = corners.points[len(self._points) : n_needed]
             points, is_tracked = tracked_corners(
                 self.before.small, self.now.small, new, window_px=_WINDOW_PX, n_levels=_N_LEVELS
             )

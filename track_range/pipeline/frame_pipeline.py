@@ -109,7 +109,8 @@ class FramePipeline:
                 method = name.removesuffix("_kf")
                 shared = math.hypot(self.shared_sigma, in_doubt[method])
                 if shared:
-                    ranges[name] = replace(measured, sigma_m=np.hypot(measured.sigma_m, shared * measured.distance_m))
+                    sigma_m = np.hypot(measured.sigma_m, shared * measured.distance_m)
+                    ranges[name] = replace(measured, sigma_m=sigma_m)
                 if method == "fused":
                     rate_sigma_mps = np.hypot(motion.rate_sigma_mps, shared * motion.rate_mps)
             moved = replace(ego.motion, speed_sigma_mps=ego_sigma_mps)
@@ -126,7 +127,13 @@ class FramePipeline:
             warnings = safety = None
             if self.warning is not None:
                 warnings = self.warning.update(
-                    tracks, motion, lateral, frame.time_s, ego_mps=ego_mps, yaw_rad_s=yaw_rad_s, ranges=ranges["fused"]
+                    tracks,
+                    motion,
+                    lateral,
+                    frame.time_s,
+                    ego_mps=ego_mps,
+                    yaw_rad_s=yaw_rad_s,
+                    ranges=ranges["fused"],
                 )
                 if doubt is not None:
                     warnings = replace(warnings, active=np.zeros_like(warnings.active))

@@ -100,7 +100,8 @@ class DetectionStage:
         """The frame with its boxes."""
         frame, lanes, detect = prepared
         with clock.stage("detect"):
-            return Detected(frame, lanes, detect(), None if self.candidates is None else self.candidates(frame))
+            detections = detect()
+            return Detected(frame, lanes, detections, None if self.candidates is None else self.candidates(frame))
 
 
 class Ego(NamedTuple):

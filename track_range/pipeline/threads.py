@@ -47,7 +47,8 @@ def run_in_threads(
         stack.callback(pipeline.close)
 
         def in_thread(items: Iterable[_T], depth: int, name: str, *, low_priority: bool) -> Iterable[_T]:
-            return stack.enter_context(closing(prefetch(items, depth=depth, low_priority=low_priority, name=name)))
+            thread = prefetch(items, depth=depth, low_priority=low_priority, name=name)
+            return stack.enter_context(closing(thread))
 
         depth = depths.read
         if pipeline.detection.lane_finder is not None:

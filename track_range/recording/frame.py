@@ -84,7 +84,8 @@ def bgr_image(frame: av.VideoFrame) -> Image:
     """
     if not hasattr(_reformatters, "converter"):
         _reformatters.converter = VideoReformatter()
-    return np.asarray(_reformatters.converter.reformat(frame, format="bgr24", threads=1).to_ndarray(), np.uint8)
+    converted = _reformatters.converter.reformat(frame, format="bgr24", threads=1)
+    return np.asarray(converted.to_ndarray(), np.uint8)
 
 
 def is_neutral(image: Image) -> bool:

@@ -101,7 +101,8 @@ def write_rows(path: Path, rows: Sequence[dict[str, Any]], *, is_parquet: bool) 
     from pyarrow import csv, parquet
 
     kinds = {"track_id": pa.int64(), **dict.fromkeys(("clip", "class", "state"), pa.string())}
-    table = pa.Table.from_pylist(list(rows), pa.schema([(key, kinds.get(key, pa.float64())) for key in COLUMNS]))
+    schema = pa.schema([(key, kinds.get(key, pa.float64())) for key in COLUMNS])
+    table = pa.Table.from_pylist(list(rows), schema)
     with writable(path, OutputError), atomic_path(path) as partial:
         if is_parquet:
             parquet.write_table(table, partial, compression="zstd")

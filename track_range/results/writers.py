@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path, PureWindowsPath
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
-from track_range.foundation.errors import UserError, call_all, named_errors
+from track_range.foundation.errors import UserError, call_all
 from track_range.foundation.files.atomic_files import describe
 from track_range.foundation.files.output_files import OutputError
 from track_range.foundation.registry import Registry, imported
@@ -134,8 +134,11 @@ def create_writer(name: str) -> ResultWriter:
     factory = WRITERS.find(name)
     if factory is None:
         raise WriterError(f"unknown format '{name}': expected {', '.join(WRITERS.names)}.")
-    with named_errors("", f"the writer '{name}' ({factory}) cannot be used", WriterError):
+    try:
         writer = imported(factory)()
+    except Exception as error:  # other packages may raise anything; runs without this writer are not affected
+        reason = f"{type(error).__name__}: {error}"
+        raise WriterError(f"the writer '{name}' ({factory}) cannot be used: {reason}.") from error
     problem = _problem(writer)
     if problem:
         raise WriterError(f"the writer '{name}': expected {problem}.")

@@ -59,7 +59,13 @@ from track_range.run.pictures import missing_outputs
 from track_range.run.progress import step_progress
 from track_range.run.ready_model import ready_model
 from track_range.run.settings import RunSettings
-from track_range.run.settings_files import absolute_settings, assumed_rate, input_files, unused_options, without_folders
+from track_range.run.settings_files import (
+    absolute_settings,
+    assumed_rate,
+    input_files,
+    unused_options,
+    without_folders,
+)
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.tracking.evaluation.frame_shift import frame_shift_note
 from track_range.tracking.registry import ObjectTracker
@@ -311,7 +317,8 @@ class RunSession:
             return (*missed, *beyond)
         labels = self.truth.select(self.truth.class_id >= 0)
         frame = columns["frame"].astype(np.int64)
-        return (*missed, *beyond, *frame_shift_note("--truth", labels.frame, labels.xyxy_px, frame, boxes_px(columns)))
+        shift = frame_shift_note("--truth", labels.frame, labels.xyxy_px, frame, boxes_px(columns))
+        return (*missed, *beyond, *shift)
 
     def finish(self, videos: Mapping[str, str]) -> tuple[dict[str, Any], Columns]:
         """Content of summary.json, and the rows with the ground truth; `videos`: file names by video ("overlay")."""

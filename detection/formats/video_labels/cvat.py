@@ -318,7 +318,8 @@ def _identities(table: BoxTable) -> tuple[IntArray, tuple[str, ...]]:
         notes.append(
             f"Tracks with boxes of several classes are written as one track for each class, with {n_other} new ids."
         )
-        ids = np.where(is_other, next_id + n_new + np.cumsum(is_other) - 1, pairs[0])[pair_number.reshape(-1)]
+        new_ids = np.where(is_other, next_id + n_new + np.cumsum(is_other) - 1, pairs[0])
+        ids = new_ids[pair_number.reshape(-1)]
     return ids, tuple(notes)
 
 

@@ -304,7 +304,8 @@ def read_mot(path: Path, n_frames: int | None = None) -> MotRows:
         (np.abs(np.concatenate([rows.xyxy_px, size_px], axis=1)) <= MAX_COORDINATE_PX + 1).all(axis=1),
         lambda cells: f"expected a box of at most {MAX_COORDINATE_PX:g} pixels, found {shortened(','.join(cells))}",
     )
-    _, first = np.unique(np.stack([rows.frame, rows.track_id], axis=1), axis=0, return_index=True)
+    pairs = np.stack([rows.frame, rows.track_id], axis=1)
+    _, first = np.unique(pairs, axis=0, return_index=True)
     is_unique = np.isin(np.arange(len(rows)), first) | (rows.track_id < 0)
     for row in np.flatnonzero(~is_unique)[:1].tolist():
         raise MotFormatError(

@@ -82,7 +82,8 @@ def _bdd100k(content: Any) -> Iterator[_Box]:
                 crowd = (label.get("attributes") or {}).get("crowd", (label.get("attributes") or {}).get("Crowd"))
                 points = [[box["x1"], box["y1"]], [box["x2"], box["y2"]]]
                 identity = label.get("id") if frame is not None else None
-                yield _Box(image, label["category"], _corners(points, 1), identity, label.get("score"), crowd is True)
+                score = label.get("score")
+                yield _Box(image, label["category"], _corners(points, 1), identity, score, crowd is True)
 
 
 def _labelme(content: Any) -> Iterator[_Box]:
@@ -224,7 +225,8 @@ def _voc(content: Any) -> Iterator[_Box]:
             objects[-1].setdefault(element.path.removeprefix("annotation/object/"), element.text[0])
     for item in objects:
         edges = [float(item[f"bndbox/{name}"]) for name in ("xmin", "ymin", "xmax", "ymax")]
-        yield _Box(image, item["name"], edges, item.get("track_id"), size_px=(size.get("width"), size.get("height")))
+        identity = item.get("track_id")
+        yield _Box(image, item["name"], edges, identity, size_px=(size.get("width"), size.get("height")))
 
 
 def _detrac(content: Any) -> Iterator[_Box]:

@@ -55,7 +55,8 @@ def single(
     source: LabelledPixels, size_px: int, settings: AugmentationSettings, rng: np.random.Generator
 ) -> LabelledPixels:
     """A training image of side `size_px` from one image."""
-    return _combined([source], [_Part(slice(0, size_px), slice(0, size_px), (0, 0))], size_px, settings, rng)
+    part = _Part(slice(0, size_px), slice(0, size_px), (0, 0))
+    return _combined([source], [part], size_px, settings, rng)
 
 
 def mosaic(
@@ -146,7 +147,8 @@ def _transformed_labels(
     corners = (low + (high - low) * _CORNERS) @ matrix[:, :2].T + matrix[:, 2]
     full = np.concatenate([corners.min(1), corners.max(1)], axis=1).reshape(-1, 4)
     first = np.array([part.columns.start, part.rows.start] * 2)
-    boxes = np.clip(full, first, np.array([part.columns.stop, part.rows.stop] * 2))
+    last = np.array([part.columns.stop, part.rows.stop] * 2)
+    boxes = np.clip(full, first, last)
     size, full_size = boxes[:, 2:] - boxes[:, :2], full[:, 2:] - full[:, :2]
     fraction = size.prod(1) / np.maximum(full_size.prod(1), 1e-9)
     is_too_small = (size.min(1, initial=np.inf) < MIN_SIDE_PX) | (fraction < MIN_FRACTION)

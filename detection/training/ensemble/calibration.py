@@ -125,7 +125,8 @@ def reliability(calibration: EnsembleCalibration, boxes: Samples, class_id: int)
     """Probabilities and matches of one class in `N_BINS` bins, from samples that were not used in the fit."""
     score = np.zeros((len(boxes.score), boxes.score.shape[1], len(ROAD_CLASSES)))
     score[:, :, class_id] = boxes.score
-    return Reliability.of(calibration.probability(score)[:, class_id], boxes.is_match, n_bins=N_BINS)
+    p = calibration.probability(score)[:, class_id]
+    return Reliability.of(p, boxes.is_match, n_bins=N_BINS)
 
 
 def _is_detected(score: FloatArray) -> BoolArray:

@@ -46,7 +46,8 @@ class MatFile:
                     self._find_structs(self._matrix(nested, 0)[1])
 
     def _decompressed(self, element: bytes) -> bytes:
-        content = zlib.decompressobj().decompress(element, _MAX_BYTES - self._n_bytes + 1)
+        stream = zlib.decompressobj()
+        content = stream.decompress(element, _MAX_BYTES - self._n_bytes + 1)
         self._n_bytes += len(content)
         if self._n_bytes > _MAX_BYTES:
             raise ValueError(f"more than {_MAX_BYTES // 1_000_000} MB after decompression")

@@ -141,7 +141,8 @@ def _comparison_grid(fits: Sequence[CurveFit]) -> tables.Grid:
         tables.Column(f"at {true_m:g} m", _known([fit.at_m[k] for fit in fits]))
         for k, true_m in enumerate(TABLE_DISTANCES_M)
     ]
-    return tables.grid_of(f"{fits[0].class_name}: {fits[0].n} boxes", "curve", [fit.curve for fit in fits], columns)
+    title = f"{fits[0].class_name}: {fits[0].n} boxes"
+    return tables.grid_of(title, "curve", [fit.curve for fit in fits], columns)
 
 
 def _known(values: Sequence[float]) -> list[float | None]:

@@ -112,7 +112,8 @@ def _show(options: ShowOptions) -> None:
         cameras = {"left": calibration.left, "right": calibration.right}
     else:
         cameras = {"camera": calibration}
-    print_grid(console, grid_of(str(source), "camera", list(cameras), _camera_columns(list(cameras.values()))))
+    columns = _camera_columns(list(cameras.values()))
+    print_grid(console, grid_of(str(source), "camera", list(cameras), columns))
     for other in content.others if size_px is None else ():
         section = [camera for camera in (other.left, other.right) if camera is not None]
         size = f"{other.left.width_px}x{other.left.height_px} px (--size {other.left.width_px}x{other.left.height_px})"

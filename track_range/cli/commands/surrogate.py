@@ -29,7 +29,8 @@ class SurrogateOptions(Options):
     """Options of `track-range surrogate`."""
 
     source: Annotated[
-        Path, option("Result folder of a run, or local folder of a fleet.", metavar="RUN|FLEET", is_argument=True)
+        Path,
+        option("Result folder of a run, or local folder of a fleet.", metavar="RUN|FLEET", is_argument=True),
     ]
     csv: Annotated[Path | None, option("CSV file to write, one row per road user.", metavar="FILE")] = None
     parquet: Annotated[Path | None, option("Parquet file with the same rows, in full precision.", metavar="FILE")] = (

@@ -91,7 +91,8 @@ class _Manifest:
         settings = {key: self._setting(row, key, text) for key, text in cells.items() if text and key in CLIP_SETTINGS}
         if "rig" in settings and "focal_px" in settings:
             raise self._fault(row, "expected rig or focal_px, found both")
-        return Clip(name, *addresses, settings, {key: text for key, text in cells.items() if key not in CLIP_SETTINGS})
+        labels = {key: text for key, text in cells.items() if key not in CLIP_SETTINGS}
+        return Clip(name, *addresses, settings, labels)
 
     def _setting(self, row: int, name: str, text: str) -> str:
         known = self._values.get((name, text))

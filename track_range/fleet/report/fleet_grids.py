@@ -178,7 +178,8 @@ def _hour_grid(rows: Sequence[Figures]) -> tables.Grid:
     names = [tables.NOTHING if row["hour_utc"] is None else f"{row['hour_utc']:02}:00" for row in rows]
     columns = tables.columns_of(rows, [("video h", "video_h", "{:.2f}")])
     for name in rows[0]["tracks"] if rows else ():
-        columns.append(tables.Column(name, [row["tracks"][name] / row["video_h"] for row in rows], "{:.0f}"))
+        per_hour = [row["tracks"][name] / row["video_h"] for row in rows]
+        columns.append(tables.Column(name, per_hour, "{:.0f}"))
     return tables.grid_of("Tracks per hour of video, by hour of the day", "hour UTC", names, columns)
 
 

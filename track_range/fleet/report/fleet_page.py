@@ -63,7 +63,8 @@ def drift_charts(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         return []
     charts = []
     for name, title in DRIFT_TITLES.items():
-        shown = sorted([row for row in rows if row[name]["points"]], key=lambda row: -abs(row[name]["change"] or 0.0))
+        known = [row for row in rows if row[name]["points"]]
+        shown = sorted(known, key=lambda row: -abs(row[name]["change"] or 0.0))
         lines = [
             {"name": row["group"], "colour": palette[i % len(palette)], **_line(row[name]["points"], min(starts_s))}
             for i, row in enumerate(sorted(shown[:_MAX_LINES], key=lambda row: str(row["group"])))

@@ -292,7 +292,8 @@ def calibration_of(
     Raises RigError if the file cannot be used, the cameras do not fit the images, or as `find_calibration`.
     """
     if isinstance(cameras, Path):
-        return _loaded(cameras, read_calibration(cameras, is_grey=False, is_pair=False), sizes_px, view, is_grey=False)
+        content = read_calibration(cameras, is_grey=False, is_pair=False)
+        return _loaded(cameras, content, sizes_px, view, is_grey=False)
     return _of_models(cameras, None, sizes_px, view)
 
 

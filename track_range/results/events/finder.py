@@ -316,7 +316,8 @@ class EventFinder:
             return same
         present = set(result.tracks.track_id.tolist())
         for event in same_kind:
-            moved_m = (result.time_s - event.last_s) * np.nan_to_num(event.extremes["closing_mps"])
+            elapsed_s = result.time_s - event.last_s
+            moved_m = elapsed_s * np.nan_to_num(event.extremes["closing_mps"])
             is_near = abs(event.distance_m - moved_m - distance_m) < _NEAR_M + _NEAR_FRACTION * distance_m
             is_near &= not abs(event.offset_m - offset_m) > _NEAR_ACROSS_M  # unknown offsets may be the same
             if event.group == group and event.track_id not in present and is_near:

@@ -204,4 +204,5 @@ def _maneuvers(name: str, table: FloatArray) -> ElementTree.Element:
         parts = _node("Action", action, name=label), _at(label, time_s)
         events.append(_node("Event", *parts, priority="parallel", maximumExecutionCount=1, name=label))
     actors = _node("Actors", _node("EntityRef", entityRef=name), selectTriggeringEntities="false")
-    return _node("ManeuverGroup", actors, _node("Maneuver", *events, name=name), maximumExecutionCount=1, name=name)
+    maneuver = _node("Maneuver", *events, name=name)
+    return _node("ManeuverGroup", actors, maneuver, maximumExecutionCount=1, name=name)

@@ -59,7 +59,12 @@ class ExportSettings(Options):
     """Input, format and output of `track-range export`."""
 
     source: Annotated[
-        Path, option(f"Result folder of a run, or labels: {READ_TITLES}.", metavar="RUN|LABELS", is_argument=True)
+        Path,
+        option(
+            f"Result folder of a run, or labels: {READ_TITLES}.",
+            metavar="RUN|LABELS",
+            is_argument=True,
+        ),
     ]
     to: Annotated[str, option("Format of the output.", choices=export_formats)]
     out: Annotated[Path, option("File to write; a folder for yolo.", metavar="PATH")]

@@ -68,7 +68,8 @@ ThreadsField = Annotated[
     ),
 ]
 DeviceField = Annotated[
-    Device, option("Device that runs the networks; auto = an NVIDIA GPU if onnxruntime can use one, else the CPU.")
+    Device,
+    option("Device that runs the networks; auto = an NVIDIA GPU if onnxruntime can use one, else the CPU."),
 ]
 TrackerField = Annotated[
     str,

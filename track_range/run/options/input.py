@@ -45,7 +45,7 @@ class InputOptions(Options):
             "the left (side-by-side) or right (right-left), below each other with the left camera's at the top "
             "(top-bottom) or bottom (bottom-top), or in two video tracks of a file (tracks). By default (auto), the "
             "layout follows from the file, its name or the images; images squeezed to half their width or height are "
-            "recognised by the size in --rig."
+            "recognised by the size in --rig.",
         ),
     ] = None
     mono: Annotated[

@@ -55,7 +55,8 @@ def play_back(
     score = 0.88 - score_loss + rng.normal(0, 0.06, len(truth))
     types = np.array([DETECTED_TYPES[name] for name in truth.kitti_type.tolist()], np.str_)
     true = _as_detections(truth.frame, types, boxes, score=score, image_size_px=image_size_px)
-    both = joined([true, _false_boxes(rng, flaws, n_frames=n_frames, image_size_px=image_size_px)])
+    false = _false_boxes(rng, flaws, n_frames=n_frames, image_size_px=image_size_px)
+    both = joined([true, false])
     return both.select(np.argsort(both.frame, kind="stable"))
 
 

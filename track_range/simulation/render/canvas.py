@@ -88,7 +88,8 @@ class Canvas:
 
     def fill_sky(self, sky: Image) -> None:
         """Fill the pixels on which nothing was drawn with the upper rows of the sky, (n, W, 4)."""
-        cv2.copyTo(sky, (self.inverse_depth[: len(sky)] == 0).view(np.uint8), self.bgra[: len(sky)])
+        is_sky = (self.inverse_depth[: len(sky)] == 0).view(np.uint8)
+        cv2.copyTo(sky, is_sky, self.bgra[: len(sky)])
 
     def _plane(self, window: Slices, plane: list[float]) -> npt.NDArray[np.float32]:
         """1/z in a window, for a plane with 1/z = plane . (u, v, 1)."""

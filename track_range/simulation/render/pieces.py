@@ -142,4 +142,5 @@ def _halved(pieces: Pieces, is_split: BoolArray) -> Pieces:
         window[:, axis] = np.where(is_second & is_axis, middle, window[:, axis])
         window[:, axis + 1] = np.where(is_cut & ~is_second & is_axis, middle, window[:, axis + 1])
     along = both.along * np.where(across[:, None], length, 1.0)
-    return Pieces(both.face, corner, along, both.down * np.where(across[:, None], 1.0, length), window)
+    down = both.down * np.where(across[:, None], 1.0, length)
+    return Pieces(both.face, corner, along, down, window)

@@ -189,7 +189,8 @@ class Renderer:
             camera, turn = _finer(view.camera), view_from_camera(view.yaw_deg)
         canvas = Canvas(camera, self._store, has_labels=has_labels)
         shift_m, rotation = turn @ self._shift_m(side), turn @ pose.camera_from_world
-        canvas.draw(self._street.faces(ego_z_m).rotated(rotation).moved(shift_m - rotation @ pose.position_m))
+        street = self._street.faces(ego_z_m)
+        canvas.draw(street.rotated(rotation).moved(shift_m - rotation @ pose.position_m))
         self._draw_bodies(canvas, time_s, shift_m, solids or self._solids, turn)
         if n_rows := canvas.n_sky_rows():
             canvas.fill_sky(self._background(pose, canvas.camera, n_rows))
@@ -214,7 +215,8 @@ class Renderer:
 
     def _background(self, pose: CameraPose, camera: PinholeCamera, n_rows: int) -> Image:
         """The upper rows of the sky as this camera sees it, which depends on its rotation and principal point only."""
-        camera_matrix, sky_matrix = camera.matrix, self._cameras["left"].matrix
+        left = self._cameras["left"]
+        camera_matrix, sky_matrix = camera.matrix, left.matrix
         sky_size_px = 2 * np.array(self._sky.shape[1::-1])
         sky_matrix[:2, 2] += (sky_size_px - (camera.width_px, camera.height_px)) / 2
         to_sky = sky_matrix @ pose.camera_from_world.T @ np.linalg.inv(camera_matrix)

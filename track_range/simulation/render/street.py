@@ -174,7 +174,8 @@ class Roadside:
 def _numbers(row: Row, ego_z_m: float) -> IntArray:
     """The numbers of the objects of a row that are ahead and near enough to draw."""
     first = int(np.ceil((ego_z_m + 1.0 - row.first_m) / row.every_m))
-    return np.arange(first, int(np.floor((ego_z_m + VISIBLE_M - row.first_m) / row.every_m)) + 1)
+    last = int(np.floor((ego_z_m + VISIBLE_M - row.first_m) / row.every_m))
+    return np.arange(first, last + 1)
 
 
 def _positions_m(row: Row, numbers: IntArray) -> FloatArray:

@@ -74,7 +74,8 @@ def first_contact(scene: Scene, seconds: float) -> EgoContact | None:
 def _unbraked_contact(scene: Scene, start_s: float, seconds: float) -> EgoContact | None:
     """The first contact if the ego vehicle keeps its speed from `start_s` on, except with followed vehicles."""
     z_m, speed_mps = scene.ego_z_m(start_s), _along_z_mps(scene, start_s)
-    from_to_s = (start_s, min(start_s + UNBRAKED_S, seconds))
+    end_s = min(start_s + UNBRAKED_S, seconds)
+    from_to_s = (start_s, end_s)
     contact = _first_touch(scene, lambda times_s: z_m + speed_mps * (times_s - start_s), from_to_s, is_real=False)
     return None if contact is None or _is_followed(scene, contact.track_id, start_s) else contact
 

@@ -135,7 +135,8 @@ class Scene:
 
     def location_m(self, time_s: float) -> FloatArray:
         """(N, 3) bottom centres of the 3-D boxes in the left camera's frame at a time."""
-        return self._location_m(time_s, self._on_road_m(time_s), np.array([user.raised_m for user in self.road_users]))
+        raised_m = np.array([user.raised_m for user in self.road_users])
+        return self._location_m(time_s, self._on_road_m(time_s), raised_m)
 
     def size_hwl_m(self) -> FloatArray:
         """(N, 3) height, width, length."""

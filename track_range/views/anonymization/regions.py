@@ -116,4 +116,5 @@ def _widened(
     """Regions with the given edges (N,), widened by the tolerances of their boxes."""
     side_px = (boxes.xyxy_px[:, 2:] - boxes.xyxy_px[:, :2]).min(axis=1, initial=np.inf)
     margin_px = MARGIN_FRACTION * side_px + MARGIN_PX + boxes.margin_px
-    return Regions(np.stack(edges, axis=1) + margin_px[:, None] * np.array([-1.0, -1.0, 1.0, 1.0]), cell_px)
+    signs = np.array([-1.0, -1.0, 1.0, 1.0])
+    return Regions(np.stack(edges, axis=1) + margin_px[:, None] * signs, cell_px)

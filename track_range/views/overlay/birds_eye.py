@@ -108,7 +108,8 @@ class BirdsEye:
 
     def ground_m(self, result: FrameResult) -> FloatArray:
         """(N, 3) x, z and sigma of z of each track in metres, from the fused or filtered distance; NaN = unknown."""
-        ground_m = np.full((len(result.tracks), 3), np.nan)
+        n = len(result.tracks)
+        ground_m = np.full((n, 3), np.nan)
         ground_m[:, :2] = result.xyz_m[:, ::2]
         if "fused" in result.ranges:
             ground_m[:, 2] = result.ranges["fused"].sigma_m

@@ -186,7 +186,8 @@ class TextRenderer:
             x = end[0] + span.size_px // 2
 
     def _new_width_px(self, text: str, size_px: int, weight: int) -> int:
-        return int(cv2.getTextSize((0, 0), text, (0, 0), self._font, size_px, weight)[2]) + size_px // 2
+        box = cv2.getTextSize((0, 0), text, (0, 0), self._font, size_px, weight)
+        return int(box[2]) + size_px // 2
 
 
 def _margin_px(lines: Lines) -> int:

@@ -237,7 +237,8 @@ def _difference_grid(first: ComparedRun, second: ComparedRun) -> Grid:
         objects = dict.fromkeys(object_words(one) for one in (difference.first, difference.second) if one)
         state = "changed" if difference.changes else f"only in {run.name}"
         details = "; ".join(difference.changes) or event_details(event)
-        rows.append((time, *map(Cell, (state, kind_words(event.kind), " / ".join(objects), details))))
+        texts = (state, kind_words(event.kind), " / ".join(objects), details)
+        rows.append((time, *map(Cell, texts)))
     columns = ("time", "difference", "event", "object", "details")
     return Grid(f"Events that differ: {first.name} and {second.name}", columns, tuple(rows), has_sentences=True)
 
@@ -325,7 +326,8 @@ def _is_same_place(a: Event, a_boxes: _BoxByFrame, b: Event, b_boxes: _BoxByFram
         overlaps = [float(iou(a_boxes[frame][None], b_boxes[frame][None])[0, 0]) for frame in frames]
         return float(np.median(overlaps)) >= MIN_IOU
     difference_m = abs(a.min_distance_m - b.min_distance_m)  # NaN = unknown
-    return not difference_m > max(_DISTANCE_M, _DISTANCE_FRACTION * max(a.min_distance_m, b.min_distance_m))
+    largest_m = max(_DISTANCE_M, _DISTANCE_FRACTION * max(a.min_distance_m, b.min_distance_m))
+    return not difference_m > largest_m
 
 
 def _changes(a: Event, b: Event) -> Iterator[str]:

@@ -76,7 +76,8 @@ def grid_of(title: str, corner: str, names: Sequence[str], columns: Sequence[Col
     """A grid with a row per name, of the columns that have values; `corner` is the heading above the names."""
     kept = [column for column in columns if any(value is not None for value in column.values)]
     cells = [[Cell(name) for name in names], *(column.cells() for column in kept)]
-    return Grid(title, (corner, *(column.heading for column in kept)), tuple(zip(*cells, strict=True)) if kept else ())
+    headings = (corner, *(column.heading for column in kept))
+    return Grid(title, headings, tuple(zip(*cells, strict=True)) if kept else ())
 
 
 def figure(section: Mapping[str, Any], key: str) -> float | None:

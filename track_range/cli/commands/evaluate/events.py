@@ -57,7 +57,8 @@ def _contact_grid(figures: Mapping[str, Any]) -> Grid:
     for row in figures.get("contacts", []):
         lead = NOTHING if row["lead_s"] is None else f"{row['lead_s']:.2f}"
         outcome = "hit" if row["is_hit"] else "miss"
-        lines.append(tuple(map(Cell, (str(row["object_id"]), row["class"], f"{row['contact_s']:.2f}", outcome, lead))))
+        texts = (str(row["object_id"]), row["class"], f"{row['contact_s']:.2f}", outcome, lead)
+        lines.append(tuple(map(Cell, texts)))
     return Grid("Contacts", ("object", "class", "at s", "", "lead s"), tuple(lines))
 
 

@@ -62,7 +62,8 @@ def _grids(figures: Mapping[str, Any]) -> Iterator[tables.Grid]:
             tables.Column(f"{name} (m/s)\N{SUPERSCRIPT TWO}", [value], "{:.2f}") for name, value in score.items()
         ]
         yield tables.grid_of("TuSimple's velocity score", "", ["all"], columns)
-    counts = [tables.Column(name, [count], "{:.0f}") for name, count in figures["warnings"]["by_cause"].items()]
+    causes = figures["warnings"]["by_cause"]
+    counts = [tables.Column(name, [count], "{:.0f}") for name, count in causes.items()]
     columns = [*tables.columns_of([figures["warnings"]], _WARNINGS), *counts]
     yield tables.grid_of("Warnings", "", ["all"], columns)
 

@@ -107,11 +107,16 @@ def _entry_rows(model: ModelLocation) -> Iterator[tuple[str, str, str]]:
 
 def _rows(detector: YoloDetector) -> Iterator[tuple[str, str, str]]:
     session, model = detector.session, detector.model
-    yield "family", model.family, model.attributes["family"].source
+    family = model.attributes["family"]
+    yield "family", model.family, family.source
     yield "layout", f"{model.name}: {model.layout}", detector.why
     others = [reading.name for reading in detector.readings if reading.name != model.name]
     if others:
-        yield ("other layouts of these shapes", ", ".join(others), "--layout selects one; --image shows its boxes")
+        yield (
+            "other layouts of these shapes",
+            ", ".join(others),
+            "--layout selects one; --image shows its boxes",
+        )
     if model.note:
         yield "ignored", model.note, ""
     shape = ", ".join("any" if side is None else str(side) for side in session.input_shape)

@@ -124,7 +124,8 @@ def _print_outcome(outcome: data_set.PseudoLabelFigures, members: list[EnsembleM
 
 def _label_grid(outcome: data_set.PseudoLabelFigures) -> Grid:
     rows = outcome.known_class_id
-    columns = [Column("fitted to", [int(n) or None for n in outcome.calibration.n_positives[rows]], "{:.0f}")]
+    fitted = [int(n) or None for n in outcome.calibration.n_positives[rows]]
+    columns = [Column("fitted to", fitted, "{:.0f}")]
     columns += [
         Column(f"p >= {minimum}", outcome.n_labels[rows, i].tolist(), "{:.0f}")
         for i, minimum in enumerate(data_set.COUNTED_PROBABILITIES)

@@ -57,7 +57,8 @@ def train(options: TrainOptions) -> None:
 def _prepared(
     options: TrainOptions, settings: TrainingSettings, data: TrainingData, teacher: Teacher | None
 ) -> Training:
-    images = read_images(data.train, data, max_side_px=int(settings.size_px * settings.augmentation.max_gain))
+    largest_px = int(settings.size_px * settings.augmentation.max_gain)
+    images = read_images(data.train, data, max_side_px=largest_px)
     validation = read_images(data.val, data, max_side_px=None)
     anchors = None
     if options.anchors == "kmeans++":

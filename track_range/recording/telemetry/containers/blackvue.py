@@ -27,7 +27,8 @@ def read_blackvue(file: BinaryIO, movie: Movie, path: Path) -> TelemetryTrack | 
             continue
         if not read_at(file, box.start + 4, 4).strip(b"\0 ").isalnum():
             continue
-        parts = dict(boxes(read_at(file, box.start, min(box.end - box.start, MAX_TELEMETRY_BYTES))))
+        content = read_at(file, box.start, min(box.end - box.start, MAX_TELEMETRY_BYTES))
+        parts = dict(boxes(content))
         if b"gps " in parts and (telemetry := _stamped_track(parts[b"gps "], parts.get(b"sttm", b""), str(path))):
             return telemetry
     return None

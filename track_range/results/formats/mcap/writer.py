@@ -75,7 +75,8 @@ class McapWriter:
         """Write the previous frame, and hold this frame."""
         self._release()
         time_ns = self._time_ns(result)
-        messages = list(self._profile.frame(list(track_objects(result, self._info.camera)), time_ns, result.ego_pose))
+        objects = list(track_objects(result, self._info.camera))
+        messages = list(self._profile.frame(objects, time_ns, result.ego_pose))
         image = self._info.shown_image(result) if self._has_images else None
         if image is not None:
             _, jpeg = cv2.imencode(".jpg", np.ascontiguousarray(image), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])

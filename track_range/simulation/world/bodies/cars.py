@@ -67,7 +67,8 @@ class _Car:
 
     def panel(self, corner: Vector, along: Vector, down: Vector, light: float) -> Face:
         """A face in the car's colour, multiplied by `light`."""
-        return coloured_face(self.rng, (corner, along, down), shaded(self.paint, light), contrast=PAINT_CONTRAST)
+        place = (corner, along, down)
+        return coloured_face(self.rng, place, shaded(self.paint, light), contrast=PAINT_CONTRAST)
 
     def x_m(self, fraction: float) -> float:
         """Position of a fraction of the car's length from the back."""
@@ -77,7 +78,8 @@ class _Car:
 
 def car(rng: np.random.Generator, size_hwl_m: Size) -> list[Face]:
     """The faces of a car with a random shape and colour."""
-    body = _Car(rng, size_hwl_m, BUILDS[int(rng.integers(len(BUILDS)))], chosen(rng, PAINTS))
+    build = BUILDS[int(rng.integers(len(BUILDS)))]
+    body = _Car(rng, size_hwl_m, build, chosen(rng, PAINTS))
     return [shadow(size_hwl_m), *_hull(body), *_cabin(body), *_shoulders(body)]
 
 

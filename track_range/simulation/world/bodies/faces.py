@@ -112,7 +112,8 @@ def ring(centre: Vector, radii: tuple[float, float], *, n_sides: int = N_PRISM_S
     """(n_sides, 3) corners of a level ellipse; `centre` is (x, height above the road, z), `radii` are along x and z."""
     angles = np.pi + 2 * np.pi * (np.arange(n_sides) - 0.5) / n_sides
     x, height, z = centre
-    return np.stack([x + radii[0] * np.cos(angles), np.full(n_sides, -height), z + radii[1] * np.sin(angles)], axis=1)
+    corners = [x + radii[0] * np.cos(angles), np.full(n_sides, -height), z + radii[1] * np.sin(angles)]
+    return np.stack(corners, axis=1)
 
 
 def rings_across(start: Vector, end: Vector, radii_m: tuple[float, float], *, n_sides: int = 6) -> list[FloatArray]:

@@ -47,7 +47,8 @@ def box_columns(columns: Columns, summary: Mapping[str, Any]) -> dict[str, Float
     """(N,) `box_left`, `box_top`, `box_right` and `box_bottom` in px, for the calibration of one video's camera."""
     if uncalibrated_video(summary) is None or "x1_px" not in columns:
         return {}
-    return dict(zip(("box_left", "box_top", "box_right", "box_bottom"), boxes_px(columns).T, strict=True))
+    names = ("box_left", "box_top", "box_right", "box_bottom")
+    return dict(zip(names, boxes_px(columns).T, strict=True))
 
 
 def road_columns(columns: Columns) -> dict[str, FloatArray]:
